@@ -1,6 +1,5 @@
 """Cameras: OpenCV intrinsics and extrinsics, files, rays, and the exact OpenGL matrices of the same camera."""
 
-import json
 import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,7 +11,7 @@ from jaxtyping import Float
 from command.errors import AssetError
 from files.input_file import read_json_object
 from files.npz import read_npz
-from files.whole import whole_file
+from files.whole import whole_file, write_json
 
 Array = np.ndarray
 Vector = Sequence[float | int] | Array
@@ -41,6 +40,12 @@ class Camera:
         """The same view on another pixel grid."""
         scale = np.diag([size[0] / self.size[0], size[1] / self.size[1], 1.0])
         return Camera(scale @ self.K, self.camera_from_world, size, self.distortion)
+
+    def cropped(self, left: int, top: int, size: tuple[int, int]) -> "Camera":
+        """The view of a rectangle of its pixels, which may reach beyond them."""
+        K = self.K.copy()
+        K[:2, 2] -= left, top
+        return Camera(K, self.camera_from_world, size, self.distortion)
 
 
 def pinhole(size: tuple[int, int], fov: float) -> Float[Array, "3 3"]:
@@ -159,8 +164,7 @@ def write_camera(path: Path | str, camera: Camera) -> None:
         "camera_from_world": camera.camera_from_world.tolist(),
         "distortion": camera.distortion.tolist(),
     }
-    with whole_file(path, "w") as file:
-        json.dump(content, file, indent=1)
+    write_json(path, content)
 
 
 def read_camera(path: Path | str) -> Camera:

@@ -47,10 +47,9 @@ def body_hull(body: Body) -> BodyHull:
 
 def _hull(points: Array, skin: SkinWeights, joints: Array, rest: Array) -> BodyHull:
     points = points.astype(np.float64)
-    strongest = np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0]
-    chosen: list[Array] = []
+    heaviest, chosen = skin.heaviest, list[Array]()
     for bone in range(52):
-        mine = np.flatnonzero(strongest == bone)
+        mine = np.flatnonzero(heaviest == bone)
         if len(mine):
             chosen.append(mine[outermost(points[mine], DIRECTIONS)])
     outer = np.concatenate(chosen)

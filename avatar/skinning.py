@@ -7,7 +7,7 @@ map is the inverse of that one matrix (TotalSelfScan supplement, Eq. 1).
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 
 from avatar.rotation import matrix_from_quaternion, quaternion_from_matrix, quaternion_product
 
@@ -26,6 +26,11 @@ class SkinWeights(NamedTuple):
     def of(self, points: Array) -> "SkinWeights":
         """Those of some points, by index or mask."""
         return SkinWeights(self.joints[points], self.weights[points])
+
+    @property
+    def heaviest(self) -> Integer[Array, "points"]:
+        """The joint that moves each point most."""
+        return np.take_along_axis(self.joints, self.weights.argmax(1)[:, None], 1)[:, 0]
 
 
 def strongest_four(dense: Float[Array, "points bones"]) -> SkinWeights:
@@ -102,9 +107,8 @@ def blended_rotations(skin: SkinWeights, transforms: Float[Array, "bones 4 4"]) 
     """
     joints, weights = skin
     bones = quaternion_from_matrix(transforms[..., :3, :3])
-    heaviest = np.take_along_axis(joints, weights.argmax(1)[:, None], 1)[:, 0]
     q = bones[joints]
-    same_side = np.einsum("psc,pc->ps", q, bones[heaviest]) >= 0
+    same_side = np.einsum("psc,pc->ps", q, bones[skin.heaviest]) >= 0
     signed = np.where(same_side, weights, -weights).astype(np.float64)
     return matrix_from_quaternion(np.einsum("ps,psc->pc", signed, q))
 

@@ -44,8 +44,7 @@ def bare_template(subject: CaptureSubject) -> Float[np.ndarray, "vertices 3"]:
     the piece that the most joints move."""
     count, faces = len(subject.vertices), np.asarray(subject.faces, np.int64)
     piece = _pieces(count, faces)
-    heaviest = np.take_along_axis(subject.skin.joints, subject.skin.weights.argmax(1)[:, None], 1)[:, 0]
-    moved = np.unique(np.stack([piece, heaviest], 1), axis=0)[:, 0]
+    moved = np.unique(np.stack([piece, subject.skin.heaviest], 1), axis=0)[:, 0]
     body = np.bincount(moved).argmax()
     return np.asarray(subject.vertices, np.float64)[: int(np.flatnonzero(piece == body)[-1]) + 1]
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from avatar.gltf.avatar_file import read_avatar
 from command.errors import AssetError
 from command.stages import Stage, command, run_stages
-from files.whole import whole_file
+from files.whole import write_text
 
 # strength of the shine that depends on the view
 SHEEN = 0.5
@@ -43,8 +43,7 @@ def film(avatar: Path, scene: Path, out: Path) -> Callable[[], int]:
     """Write the scene, with the view mode that the bake chose per pixel, and film it."""
 
     def run() -> int:
-        with whole_file(scene, "w") as file:
-            file.write(SCENE.format(name=scene.name, view=read_avatar(avatar).default_view))
+        write_text(scene, SCENE.format(name=scene.name, view=read_avatar(avatar).default_view))
         return command("selfscan", "render", "--scene", scene, "-o", out)()
 
     return run

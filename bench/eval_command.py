@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from bench.report.writer import write_json, write_text
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.settings import AtLeast
-from files.whole import check_file
+from files.whole import check_file, write_json, write_text
 
 
 @dataclass(frozen=True)
@@ -17,22 +16,25 @@ class EvalCommand:
 
     subject: Annotated[Path, Option(positional=True, metavar="RUN_OR_AVATAR"), "run folder, or avatar file (.glb)"]
     capture: Annotated[
-        Path, Option(positional=True, metavar="CAPTURE"),
-        "capture folder with truth/ (selfscan synth), or of a raw scan (synth --raw --keypoints --held-out)"
+        Path,
+        Option(positional=True, metavar="CAPTURE"),
+        "capture folder with truth/ (selfscan synth), or of a raw scan (synth --raw --keypoints --held-out)",
     ]
     json: Annotated[Path | None, Option(metavar="FILE"), "write every number here as well"] = None
     markdown: Annotated[Path | None, Option(metavar="FILE"), "write the table here as Markdown"] = None
     ceiling: Annotated[bool, "also score the true mesh under our skin weights: the best to be had"] = False
     poses: Annotated[int | None, AtLeast(1), "a quick look: only N poses of each set"] = None
     lpips: Annotated[
-        tuple[Path, ...], Option(metavar="FILE", several=True),
+        tuple[Path, ...],
+        Option(metavar="FILE", several=True),
         "LPIPS's weights, which are not shipped: one file of the whole network's state dictionary, or torchvision's "
-        "AlexNet and the lpips package's linear layers (bench/score/lpips.py says how)"
+        "AlexNet and the lpips package's linear layers (bench/score/lpips.py says how)",
     ] = ()
     run: Annotated[
-        Path | None, Option(metavar="RUN"),
+        Path | None,
+        Option(metavar="RUN"),
         "run the avatar was baked from: measures again what the file says was lost, and on held-out pictures; avatars "
-        "from pixels need it, since their poses are fitted to those pictures with its template"
+        "from pixels need it, since their poses are fitted to those pictures with its template",
     ] = None
 
 

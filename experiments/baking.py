@@ -17,7 +17,6 @@ import json
 import multiprocessing
 import re
 import resource
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -27,9 +26,10 @@ from typing import Any
 from bake.options import BakeOptions
 from bench.ladder.machine import commit, cpu_name
 from command.errors import AssetError
+from experiments.program import end_with, note
 from experiments.short_training import read_kept
 from experiments.table_row import digest
-from files.whole import whole_file
+from files.whole import whole_file, write_json, write_text
 from train.run import read_facts
 
 FORMAT = "selfscan-baking-row"
@@ -96,10 +96,6 @@ class Options:
     seconds: float
 
 
-def note(text: str) -> None:
-    print(f"baking: {text}", file=sys.stderr, flush=True)
-
-
 def rows_of(default: BakeOptions) -> tuple[Row, ...]:
     """All rows beside these settings; what they have already is no row of its own."""
     rows = [Row(group, changed, replace(default, **changed)) for group, changed in ROWS]
@@ -137,8 +133,7 @@ def baked(row: Row, options: Options) -> dict[str, Any] | None:
         "cpu": cpu_name(),
         "commit": commit(),
     }
-    with whole_file(path, "w") as file:
-        json.dump(result, file, indent=1)
+    write_json(path, result)
     return result
 
 
@@ -234,10 +229,8 @@ def measure(options: Options) -> list[str]:
         "formats": formats,
         "absent": absent,
     }
-    with whole_file(options.out / "baking.json", "w") as file:
-        json.dump(result, file, indent=1)
-    with whole_file(options.out / "baking.md", "w") as file:
-        file.write(markdown(result))
+    write_json(options.out / "baking.json", result)
+    write_text(options.out / "baking.md", markdown(result))
     plot(result, options.out / "baking.png")
     return absent
 
@@ -300,7 +293,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except AssetError as error:
-        raise SystemExit(f"baking: {error}") from None
+    end_with(main)

@@ -184,9 +184,6 @@ def format_table(result: Mapping[str, Any]) -> list[str]:
 
 def plot(result: Mapping[str, Any], path: Path) -> None:
     """The rows on the frontier's axes: time to the right, logarithmic, nearer upwards; of the bake and of a frame."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator
 

@@ -6,7 +6,6 @@ person and close-ups of head and hands; the field is compared in the same views 
 more than the truth's pixels show. FLIP and SSIM over the region's rectangle, PSNR over the region itself.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,7 +22,7 @@ from bake.measure import test_views
 from bake.truth import some_poses
 from bench.field.drawer import FILMED, Drawer
 from bench.field.posed_field import averaged
-from bench.ladder.quiet import Quiet
+from bench.ladder.machine import Quiet
 from bench.ladder.rung_scores import compared, crop_of, median_interval
 from bench.score.picture_scores import DILATION, VIEW_REGION, region_of
 from capture.held_out import SETS, read_capture_facts, read_held_out
@@ -31,7 +30,7 @@ from command.progress import progress
 from experiments.alternating import Times, alternate, here
 from experiments.short_training import read_kept
 from experiments.table_row import digest
-from files.whole import whole_file
+from files.whole import write_json
 from player.gl.context import Context, opened
 from player.scene.renderer import Pose, Renderer
 
@@ -184,8 +183,7 @@ def scored(folder: Path, references: References) -> dict[str, Any]:
     finally:
         context.release()
     result = {"format": FORMAT, "stamp": stamp, "scores": scores}
-    with whole_file(folder / "scores.json", "w") as file:
-        json.dump(result, file, indent=1)
+    write_json(folder / "scores.json", result)
     return result
 
 

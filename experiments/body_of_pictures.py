@@ -9,7 +9,6 @@ capture), poses.npz (a motion that `selfscan render` plays) and fit.json (statur
 """
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -24,11 +23,11 @@ from capture.fit.refusals import misfits
 from capture.fit.scan import STEPS
 from capture.raw.scan import RawVideo
 from capture.read.template import write_template
-from command.errors import AssetError
 from command.progress import Progress
 from experiments.body_alone import BodyAlone, fit_body_alone, pictures_of_body
 from experiments.fitting_pictures import overlay, shown_frames
-from files.whole import check_folder, whole_file, whole_folder
+from experiments.program import end_with
+from files.whole import check_folder, whole_file, whole_folder, write_json
 
 # of a motion whose pictures have no times
 RATE = 30.0
@@ -57,8 +56,7 @@ def write_fit(out: Path, video: RawVideo, found: BodyAlone) -> None:
             "left_out": [video.pictures[i].name for i in np.flatnonzero(~found.video.usable)],
             "notes": list(video.keypoints.notes),
         }
-        with whole_file(folder / "fit.json", "w") as file:
-            json.dump(facts, file, indent=1)
+        write_json(folder / "fit.json", facts)
 
 
 def round_person(
@@ -113,7 +111,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except AssetError as error:
-        raise SystemExit(f"body_of_pictures: {error}") from None
+    end_with(main)

@@ -7,17 +7,15 @@ On a machine that others use, neither means much: the share they used is told.
 """
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from avatar.gltf.avatar_file import read_avatar
-from bench.ladder.machine import machine
-from bench.ladder.quiet import Quiet, warning
+from bench.ladder.machine import Quiet
 from bench.ladder.rung_pictures import motion_frames
-from files.whole import whole_file
+from files.whole import write_json
 from player.budget.ladder import PricedRung, best_within, frontier, scene_rungs
 from player.budget.measure import BudgetScene, price, rung_times
 from player.effects.background import Background
@@ -72,18 +70,16 @@ def main() -> None:
     try:
         with Quiet() as quiet:
             rows = tried_budgets(context, scene, count=asked.count, frames=asked.frames)
-        facts = machine(context.renderer, context.kind) | {"others_cpu_share": quiet.others}
+        facts = quiet.facts(context)
     finally:
         context.release()
     for row in rows:
         print(f"{row['budget_ms']:8.2f} ms: {row['rung']:28} p95 {row['p95_ms']:7.2f}  "
               + ("holds" if row["holds"] else "FAILS") + f", {row['steps_wasted']} steps wasted")  # fmt: skip
-    said = warning(quiet.others, facts["load_average"])
-    if said:
-        print(said)
+    if facts["warning"]:
+        print(facts["warning"])
     if asked.json:
-        with whole_file(asked.json, "w") as file:
-            json.dump({"machine": facts, "budgets": rows}, file, indent=1)
+        write_json(asked.json, {"machine": facts["machine"], "budgets": rows})
 
 
 if __name__ == "__main__":

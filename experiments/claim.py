@@ -12,20 +12,20 @@ OUT/claim.md hold the tables of all people in OUT.
 """
 
 import argparse
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.demo import Stage, command, run_stages
 from capture.folder import INPUTS
 from command.errors import AssetError
+from command.stages import Stage, command, run_stages
 from experiments.claim_page import FORMAT, page
 from experiments.light import folder_name
+from experiments.program import end_with, note
 from experiments.short_training import begun, share_in_words, total_steps, training_words
-from files.whole import whole_file
+from files.input_file import read_json_object
+from files.whole import write_json, write_text
 from train.preset import PRESETS
 
 # minutes on two idle cores: of the raw videos, a second of turn at 360 px; of held-out pictures; of an import, a frame
@@ -46,10 +46,6 @@ class Options:
     seed: int
     poses: int  # of each held-out set
     light: str
-
-
-def note(text: str) -> None:
-    print(f"claim: {text}", file=sys.stderr, flush=True)
 
 
 def person_and_sex(name: str) -> tuple[str, str]:
@@ -130,14 +126,13 @@ def settle(out: Path, options: Options) -> None:
     """
     path, said = out / "options.json", asdict(options)
     if path.exists():
-        there = json.loads(path.read_text("utf-8"))
+        there = read_json_object(path, "the options of this folder's results")
         other = [f"{key} {there.get(key)}" for key, value in said.items() if there.get(key) != value]
         if other:
             raise AssetError(f"{path}: holds results of {', '.join(other)}; ask for the same, or choose another -o")
         return
     out.mkdir(parents=True, exist_ok=True)
-    with whole_file(path, "w") as file:
-        json.dump(said, file, indent=1)
+    write_json(path, said)
 
 
 def run_all(options: Options, people: Sequence[str], out: Path, kinds: Sequence[str] = INPUTS) -> list[str]:
@@ -167,10 +162,7 @@ def collect(out: Path) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for path in sorted(out.glob("*/*/quality.json")):
         kind = path.parent.name.replace("_", " ")
-        try:
-            result = json.loads(path.read_text("utf-8"))
-        except (OSError, ValueError) as error:
-            raise AssetError(f"{path}: expected a result of `selfscan eval --json`, found: {error}") from None
+        result = read_json_object(path, "a result of `selfscan eval --json`")
         if result.get("input") != kind:
             raise AssetError(f"{path}: input should be {kind!r}, is {result.get('input')!r}")
         found.setdefault(path.parent.parent.name, {})[kind] = result
@@ -210,10 +202,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     absent = run_all(options, given.people, given.out, given.only or INPUTS)
     found = collect(given.out)
     facts = asdict(options) | {"share": share_in_words(options.preset, options.steps)}
-    with whole_file(given.out / "claim.json", "w") as file:
-        json.dump({"format": FORMAT, "options": facts, "people": found, "absent": absent}, file, indent=1)
-    with whole_file(given.out / "claim.md", "w") as file:
-        file.write(page(found, facts))
+    write_json(given.out / "claim.json", {"format": FORMAT, "options": facts, "people": found, "absent": absent})
+    write_text(given.out / "claim.md", page(found, facts))
     for line in absent:
         note(f"not made: {line}")
     print(given.out / "claim.md")
@@ -221,7 +211,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except AssetError as error:
-        raise SystemExit(f"claim: {error}") from None
+    end_with(main)

@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bench.report.writer import markdown_table, number
 from files.whole import whole_file
 from train.run import read_facts
 
@@ -68,12 +69,11 @@ def baked_seconds(run: Path, textures: str) -> float:
 def table(columns: Mapping[str, Mapping[str, float | None]], left_out: Mapping[str, str]) -> str:
     """Rows of seconds, a column a person."""
     names = list(columns)
-    lines = ["| seconds | " + " | ".join(names) + " | left out by |", "|---" * (len(names) + 2) + "|"]
-    for title, how in left_out.items():
-        cells = [columns[name].get(title) for name in names]
-        shown = " | ".join("-" if value is None else f"{value:.0f}" for value in cells)
-        lines.append(f"| {title} | {shown} | {how and f'`{how}`'} |")
-    return "\n".join(lines) + "\n"
+    rows = [
+        [title, *(number(columns[name].get(title), 0) for name in names), how and f"`{how}`"]
+        for title, how in left_out.items()
+    ]
+    return "\n".join(markdown_table(["seconds", *names, "left out by"], rows)) + "\n"
 
 
 def main(argv: list[str] | None = None) -> int:

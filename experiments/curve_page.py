@@ -188,9 +188,6 @@ def difference(p: Point, q: Point, chosen: str, score: str) -> dict[str, float |
 
 def plot(result: dict[str, Any], path: Path) -> None:
     """For each curve, decibels and distances against seconds."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator
 

@@ -14,7 +14,6 @@ OUT/curves.json, curves.md and curves.png are written from all points in OUT, wh
 import argparse
 import json
 import os
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,14 +22,15 @@ from typing import Any
 
 import numpy as np
 
-from bench.demo import command
 from bench.ladder.machine import cpu_name
 from capture.held_out import SETS, read_capture_facts
 from command.errors import AssetError
+from command.stages import command
 from experiments.curve_page import markdown, plot
+from experiments.program import end_with, note
 from experiments.short_training import begun, read_kept, share_in_words, total_steps, training_words
 from experiments.table_row import digest
-from files.whole import whole_file
+from files.whole import write_json, write_text
 from train.preset import ITEMS, PRESETS
 from train.run import read_facts
 
@@ -75,10 +75,6 @@ class Options:
     poses: int
     device: str
     seed: int
-
-
-def note(text: str) -> None:
-    print(f"curves: {text}", file=sys.stderr, flush=True)
 
 
 def planned(options: Options) -> list[Planned]:
@@ -155,8 +151,7 @@ def scored(one: Planned, options: Options) -> dict[str, Any] | None:
         return None
     point = {"format": FORMAT, "stamp": stamp, "label": one.label}
     point |= point_of(one, json.loads(quality.read_text("utf-8")))
-    with whole_file(path, "w") as file:
-        json.dump(point, file, indent=1)
+    write_json(path, point)
     return point
 
 
@@ -263,10 +258,8 @@ def write_report(out: Path, absent: list[str]) -> None:
         "points": collect(out),
         "absent": absent,
     }
-    with whole_file(out / "curves.json", "w") as file:
-        json.dump(result, file, indent=1)
-    with whole_file(out / "curves.md", "w") as file:
-        file.write(markdown(result))
+    write_json(out / "curves.json", result)
+    write_text(out / "curves.md", markdown(result))
     plot(result, out / "curves.png")
 
 
@@ -328,7 +321,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except AssetError as error:
-        raise SystemExit(f"curves: {error}") from None
+    end_with(main)

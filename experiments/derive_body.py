@@ -18,7 +18,6 @@ taken from the published file where one is given.
 import argparse
 import gzip
 import json
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from jaxtyping import Float
 from avatar.rotation import rotation_between
 from avatar.skeleton import JOINTS, PARENTS
 from command.errors import AssetError
+from experiments.program import end_with
 from files.whole import whole_file
 
 Array = np.ndarray
@@ -262,8 +262,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except AssetError as error:
-        print(error, file=sys.stderr)
-        sys.exit(1)
+    end_with(main)

@@ -9,9 +9,7 @@ no true pose to be compared with, and other effects (ground, blur ...) only have
 """
 
 import argparse
-import json
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,9 +22,9 @@ from avatar.baked_avatar import Avatar
 from avatar.gltf.avatar_file import read_avatar
 from bench.ladder.rung_pictures import FRAMES, ComparedFrame, held_out_frames, motion_frames, rung_pictures
 from bench.ladder.rung_scores import compared, crop_of, median_interval
-from bench.report.writer import number
-from files.whole import whole_file, whole_folder
-from player.budget.ladder import rungs_of
+from bench.report.writer import markdown_table, number
+from files.whole import whole_folder, write_json, write_text
+from player.budget.ladder import frame_times, rungs_of
 from player.budget.rung import Rung
 from player.effects.light import Light
 from player.gl.context import Context, opened
@@ -81,7 +79,7 @@ def effect_rows(
         for one in effect_rungs(avatar):
             renderer = rung.renderer(context, [one.avatar], full, effects=one.effects)
             try:
-                ms = np.array([[_timed(r, frames[k % len(frames)]) for r in (bare, renderer)] for k in range(rounds)])
+                ms = frame_times(context, [bare, renderer], [([f.pose], f.camera) for f in frames], range(rounds))
                 drawn = [renderer.draw([f.pose], f.camera)[..., :3].astype(np.float32) / 255 for f in frames]
                 size = renderer.plan.bytes
             finally:
@@ -104,17 +102,6 @@ def effect_rows(
     return effects
 
 
-def _timed(renderer: Any, frame: ComparedFrame) -> float:
-    """Milliseconds of a frame after one untimed: caches hold its own meshes and textures."""
-    gl, target = renderer.context.gl, renderer.target
-    for _ in range(2):
-        gl.finish()
-        start = time.perf_counter()
-        renderer.draw_into(target, [frame.pose], frame.camera)
-        gl.finish()
-    return 1e3 * (time.perf_counter() - start)
-
-
 def effects_section(rows: Sequence[dict[str, Any]], rung: str) -> str:
     """The rows as Markdown."""
     with_truth = any("against_truth" in row for row in rows)
@@ -130,9 +117,8 @@ def effects_section(rows: Sequence[dict[str, Any]], rung: str) -> str:
         f"Beside `{rung}`, in alternating frames. *Change* is FLIP beside it, which is no error{judged} "
         "`selfscan bench AVATAR --effects` says what other effects cost.",
         "",
-        "| effect | ms | times (95 %) | change |" + (" FLIP against truth | PSNR |" if with_truth else ""),
-        "|-|-|-|-|" + ("-|-|" if with_truth else ""),
     ]
+    table = []
     for row in rows:
         low, high = row["times_plain_interval"]
         cells = [row["name"], number(row["ms_median"], 2), f"{row['times_plain']:.2f} ({low:.2f} - {high:.2f})"]
@@ -141,8 +127,9 @@ def effects_section(rows: Sequence[dict[str, Any]], rung: str) -> str:
             pair = row["plain_against_truth"], row["against_truth"]
             cells.append(" -> ".join(number(scores["flip"], 4) for scores in pair))
             cells.append(" -> ".join(number(scores["psnr_mask_db"], 2) for scores in pair))
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join([*lines, ""])
+        table.append(cells)
+    head = ["effect", "ms", "times (95 %)", "change", *(["FLIP against truth", "PSNR"] if with_truth else [])]
+    return "\n".join([*lines, *markdown_table(head, table), ""])
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -169,11 +156,10 @@ def main(argv: list[str] | None = None) -> int:
         context.release()
     rows = [effect.row for effect in drawn]
     page = effects_section(rows, rung.name)
+    result = {"format": "selfscan-effect-rungs", "avatar": avatar.name, "effects": rows}
     with whole_folder(command.out) as folder:
-        with whole_file(folder / "effect_rungs.json", "w") as file:
-            json.dump({"format": "selfscan-effect-rungs", "avatar": avatar.name, "effects": rows}, file, indent=1)
-        with whole_file(folder / "effect_rungs.md", "w") as file:
-            file.write(page)
+        write_json(folder / "effect_rungs.json", result)
+        write_text(folder / "effect_rungs.md", page)
     print(page)
     return 0
 

@@ -19,7 +19,7 @@ from avatar.motion.clip import Clip
 from avatar.motion.read import builtin_motion
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from files.input_file import open_film
-from files.whole import whole_file
+from files.whole import write_text
 from player.film.command import render_main
 from player.film.film import Film
 from player.scene.arguments import parse_size
@@ -80,8 +80,7 @@ def main() -> None:
     tables = []
     for name in SCENES:
         scene, film = out / f"{name}.toml", out / f"{name}.mp4"
-        with whole_file(scene, "w") as file:
-            file.write(scene_text(name, asked.avatar, asked.size, asked.rate, asked.samples))
+        write_text(scene, scene_text(name, asked.avatar, asked.size, asked.rate, asked.samples))
         if not film.exists():
             render_main(["--scene", str(scene), "-o", str(film)])
         passes = out / f"{name}.json"
@@ -89,8 +88,7 @@ def main() -> None:
         render_main(["--scene", str(scene), *one])
         rows = json.loads(passes.read_text("utf-8"))["passes"]
         tables += [f"`{name}.toml`:", "", *(f"    {r['name']:30} {r['state']:14} {r['why']}" for r in rows), ""]
-    with whole_file(out / "explain.md", "w") as file:
-        file.write("\n".join(tables))
+    write_text(out / "explain.md", "\n".join(tables))
     beside = [
         np.concatenate(pair, 1) for pair in zip(*(frames_of(out / f"{name}.mp4") for name in SCENES), strict=True)
     ]

@@ -9,7 +9,6 @@ OUT/SUBJECT_seed_SOURCE.png.
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from scipy.ndimage import distance_transform_edt
 from avatar.body import builtin_body
 from avatar.skeleton import PARTS
 from bench.ladder.machine import commit
+from bench.report.writer import markdown_table
 from capture.fit import body
 from capture.fit.focal import Focal, focal_of_videos
 from capture.fit.footage import Estimate, Footage, footage_of
@@ -31,12 +31,12 @@ from capture.fit.scan import FOCAL, FOUND, GIVEN, GUESSED, names_and_joints
 from capture.keypoints.openpose import NAMES
 from capture.keypoints.record import Keypoints, keypoints_of
 from capture.read.video import TRACK
-from command.errors import AssetError
 from experiments.filmed_masks import Faults, filmed_masks
 from experiments.fitting_pictures import write_pictures
 from experiments.fitting_scores import Truth, scores
+from experiments.program import end_with
 from files.input_file import read_json_object
-from files.whole import whole_file
+from files.whole import whole_file, write_json, write_text
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
 from synth.command import load_subject
@@ -188,14 +188,15 @@ def fitted_stages(seen: Seen, sex: str, *, outlines: bool) -> tuple[dict[str, Es
 
 def markdown(rows: list[dict[str, Any]]) -> str:
     """The table: one line for each source and kind of input, mean over subjects and seeds, largest in brackets."""
-    lines = ["| mistakes | input | fits | " + " | ".join(COLUMNS.values()) + " |", "|-" * (3 + len(COLUMNS)) + "|"]
+    table = []
     for source, witness, group in _groups(rows):
         cells = []
         for key in COLUMNS:
             values = [row["scores"][key] for row in group]
             digits = 3 if key == "focal" else 2
             cells.append(f"{np.mean(values):.{digits}f} ({max(values, key=abs):.{digits}f})")
-        lines.append(f"| {source.says} | {witness} | {len(group)} | " + " | ".join(cells) + " |")
+        table.append([source.says, witness, str(len(group)), *cells])
+    lines = markdown_table(["mistakes", "input", "fits", *COLUMNS.values()], table)
     commits = sorted({str(row["commit"]) for row in rows})
     subjects = sorted({f"{row['subject']} seed {row['seed']}" for row in rows})
     frames = sorted({f"{row['frames']} frames of {row['size']} px" for row in rows})
@@ -205,9 +206,6 @@ def markdown(rows: list[dict[str, Any]]) -> str:
 
 def plot(rows: list[dict[str, Any]], path: Path) -> None:
     """Limb joints of each source: a bar for the mean, a dot for each fit."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     from matplotlib.figure import Figure
 
     groups = _groups(rows)
@@ -280,20 +278,14 @@ def main(argv: Sequence[str] | None = None) -> int:
                 if known:
                     continue
                 rows.append(row)
-                with whole_file(path, "w") as file:
-                    json.dump({"rows": rows}, file, indent=1)
+                write_json(path, {"rows": rows})
         rasteriser.release()
         context.release()
-    with whole_file(given.out / "fitting.md", "w") as file:
-        file.write(markdown(rows))
+    write_text(given.out / "fitting.md", markdown(rows))
     plot(rows, given.out / "fitting.png")
     print(markdown(rows))
     return 0
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except AssetError as error:
-        print(error, file=sys.stderr)
-        sys.exit(1)
+    end_with(main)

@@ -17,7 +17,7 @@ from avatar.skeleton import JOINTS, PARTS, joint_transforms
 from capture.check.sheet import contact_sheet
 from capture.raw.four_videos import find_videos
 from capture.raw.video_file import open_video, read_frames
-from command.errors import AssetError
+from experiments.program import end_with
 from files.whole import whole_file
 from player import OffscreenRenderer, motion_for
 
@@ -77,7 +77,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except AssetError as error:
-        raise SystemExit(f"from_pixels_picture: {error}") from None
+    end_with(main)

@@ -9,8 +9,6 @@ what is allowed.
 """
 
 import argparse
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +17,13 @@ from typing import Any
 # before any GL context: it loads an LLVM that crashes when Mesa's came first
 import torch._dynamo  # noqa: F401
 
-from bench.demo import command
-from command.errors import AssetError
+from bench.report.writer import markdown_table
+from command.stages import command
 from experiments.light_scores import FORMAT, REGIONS, measured, stamp
+from experiments.program import end_with, note
 from experiments.short_training import begun, read_kept, share_in_words, three, training_words
-from files.whole import whole_file
+from files.input_file import read_json_object
+from files.whole import write_json, write_text
 from synth.options import MODES
 from train.preset import PRESETS
 
@@ -48,10 +48,6 @@ class Options:
     poses: int  # of each held-out set
     # also train with light as no factor of its own
     without: bool
-
-
-def note(text: str) -> None:
-    print(f"light: {text}", file=sys.stderr, flush=True)
 
 
 def folder_name(person: str) -> str:
@@ -107,9 +103,8 @@ def person_scores(options: Options, person: str) -> list[str]:
             even = options.out / folder_name(person) / "even" / "capture"
             found = measured(run, person, even, light, options.seed, options.poses)
             facts = {"format": FORMAT, "person": folder_name(person), "light": light, "light_factor": factor}
-            with whole_file(path, "w") as file:
-                share = share_in_words(options.preset, options.steps)
-                json.dump(facts | {"share": share, "stamp": expected} | found, file, indent=1)
+            facts |= {"share": share_in_words(options.preset, options.steps), "stamp": expected}
+            write_json(path, facts | found)
     return absent
 
 
@@ -117,10 +112,7 @@ def collect(out: Path) -> list[dict[str, Any]]:
     """All scores in OUT."""
     found = []
     for path in sorted(out.glob("*/*/scores*.json")):
-        try:
-            scores = json.loads(path.read_text("utf-8"))
-        except (OSError, ValueError) as error:
-            raise AssetError(f"{path}: expected scores, found: {error}") from None
+        scores = read_json_object(path, "scores")
         if scores.get("format") == FORMAT:
             found.append(scores)
     order = {light: number for number, light in enumerate(MODES)}
@@ -144,26 +136,33 @@ def page(found: Sequence[dict[str, Any]]) -> str:
         "after one gain, which nobody can know. *turned away*: pixels whose normals face no video's camera (their",
         "share), where the light was never seen. *mean light*: shown as the paper does, in the mean of what was seen.",
         "",
-        "| person, light | steps | novel poses, dB | lost | allowed | turned away (share) | lost there | mean light |"
-        " novel views, lost | key, lost | albedo rms | light found |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
+    head = ["person, light", "steps", "novel poses, dB", "lost", "allowed", "turned away (share)", "lost there"]
+    head += ["mean light", "novel views, lost", "key, lost", "albedo rms", "light found"]
+    rows = []
     even = {one["person"]: one for one in found if one["light"] == "even" and one["light_factor"]}
     for one in found:
         lost_to = lambda *keys, one=one: _lost_to(one, even.get(one["person"]), keys)
         allowed = ALLOWED.get(one["light"])
         away = one["novel_pose"]["turned_away"]
         shares = " / ".join(f"{away['share'][region]:.0%}" for region in REGIONS)
-        lines.append(
-            f"| {one['person']}, {one['light']}{'' if one['light_factor'] else ', no factor'} | {one['share']} "
-            f"| {three(one['novel_pose']['captured'])} | {lost_to('novel_pose', 'captured')} "
-            f"| {' / '.join(f'{value:g}' for value in allowed) if allowed else '-'} "
-            f"| {three(away['captured'])} ({shares}) | {lost_to('novel_pose', 'turned_away', 'captured')} "
-            f"| {three(one['novel_pose']['mean_light'])} "
-            f"| {lost_to('novel_view', 'captured')} | {lost_to('novel_pose', 'key')} "
-            f"| {three(one['novel_pose']['albedo_rms'])} | {one['found']} |"
+        rows.append(
+            [
+                f"{one['person']}, {one['light']}{'' if one['light_factor'] else ', no factor'}",
+                one["share"],
+                three(one["novel_pose"]["captured"]),
+                lost_to("novel_pose", "captured"),
+                " / ".join(f"{value:g}" for value in allowed) if allowed else "-",
+                f"{three(away['captured'])} ({shares})",
+                lost_to("novel_pose", "turned_away", "captured"),
+                three(one["novel_pose"]["mean_light"]),
+                lost_to("novel_view", "captured"),
+                lost_to("novel_pose", "key"),
+                three(one["novel_pose"]["albedo_rms"]),
+                str(one["found"]),
+            ]
         )
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *markdown_table(head, rows)]) + "\n"
 
 
 def _lost_to(one: dict[str, Any], even: dict[str, Any] | None, keys: Sequence[str]) -> str:
@@ -210,10 +209,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     absent = [line for person in options.people for line in person_scores(options, person)]
     found = collect(options.out)
-    with whole_file(options.out / "light.json", "w") as file:
-        json.dump({"format": "selfscan-light", "scores": found, "absent": absent}, file, indent=1)
-    with whole_file(options.out / "light.md", "w") as file:
-        file.write(page(found))
+    write_json(options.out / "light.json", {"format": "selfscan-light", "scores": found, "absent": absent})
+    write_text(options.out / "light.md", page(found))
     for line in absent:
         note(f"not measured: {line}")
     print(options.out / "light.md")
@@ -221,7 +218,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except AssetError as error:
-        raise SystemExit(f"light: {error}") from None
+    end_with(main)

@@ -100,7 +100,7 @@ def measured(run: Path, person: str, even: Path, light: str, seed: int, poses: i
                 views = some_poses(read_held_out(even, name), poses)
                 compared = [compare(drawer, source, studio, view, true_light, camera_axis) for view in views]
                 result[name] = scores(compared)
-        measured_on = machine(drawer.context.renderer, drawer.context.kind)
+        measured_on = machine(drawer.context)
     finally:
         raster.release()
         drawer.release()

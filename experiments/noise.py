@@ -6,9 +6,7 @@ there already is not done again. OUT/noise.json and OUT/noise.md say how many dB
 """
 
 import argparse
-import json
 import shutil
-import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +17,15 @@ from scipy import ndimage
 
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARTS
+from bench.report.writer import markdown_table, number
 from command.errors import AssetError
+from command.stages import command
+from experiments.program import end_with, note
+from experiments.short_training import begun
+from files.input_file import read_json_object
 from files.npz import read_npz
 from files.picture import read_picture
-from files.whole import whole_file, whole_folder
+from files.whole import whole_folder, write_json, write_text
 
 # dB that a noise may cost with refinement on
 ALLOWED = 0.5
@@ -67,9 +70,9 @@ def noisy_capture(capture: Path, out: Path, noise: Noise, seed: int) -> None:
             if noise.grow:
                 for path in sorted((folder / part / "masks").glob("*.png")):
                     _regrow(path, noise.grow)
-        facts = json.loads((folder / "capture.json").read_text("utf-8"))
+        facts = read_json_object(folder / "capture.json", "a capture")
         facts["noise"] = noise.says
-        (folder / "capture.json").write_text(json.dumps(facts, indent=1), "utf-8")
+        write_json(folder / "capture.json", facts)
 
 
 def _disturb(path: Path, degrees: float, rng: np.random.Generator) -> None:
@@ -103,7 +106,7 @@ def make_rows(
                 if not given.exists():
                     noisy_capture(capture, given, noise, seed)
                 if not run.exists():
-                    resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
+                    resume = ["--resume"] if begun(run) else []
                     _selfscan("train", given, "-o", run, "--refine-poses", choice, "--seed", seed, *extra, *resume)
                 few = [] if poses is None else ["--poses", poses]
                 _selfscan("eval", run, capture, "--json", score, *few)
@@ -116,7 +119,7 @@ def rows_in(out: Path) -> list[dict]:
         for choice in CHOICES:
             score = out / f"{noise.name}_{choice}.json"
             if score.exists():
-                quality = json.loads(score.read_text("utf-8"))
+                quality = read_json_object(score, "a result of `selfscan eval --json`")
                 commit = quality.get("machine", {}).get("commit")
                 rows.append(
                     {"noise": noise.name, "says": noise.says, "refine": choice, "commit": commit, **numbers(quality)}
@@ -153,29 +156,26 @@ def markdown(rows: list[dict], command: str) -> str:
         f"Novel-pose PSNR (dB) and, in brackets, dB lost against the capture as it is. Allowed: {ALLOWED} dB.",
         f"Command: `{command}`",
         "",
-        "| noise | refinement | total | head | hands | P2S cm | met | commit |",
-        "|---|---|---|---|---|---|---|---|",
     ]
+    table = []
     for row in rows:
         cells = [f"{row[name]:.2f} ({row.get(f'{name}_lost', 0):+.3f})" if row[name] is not None else "-"
                  for name in REGIONS]  # fmt: skip
         met = {True: "yes", False: "no", None: ""}[row.get("met")]
-        p2s = "-" if row["p2s_cm"] is None else f"{row['p2s_cm']:.3f}"
-        lines.append(
-            f"| {row['says']} | {row['refine']} | {' | '.join(cells)} | {p2s} | {met} | {row.get('commit') or ''} |"
-        )
-    return "\n".join(lines) + "\n"
+        table.append([row["says"], row["refine"], *cells, number(row["p2s_cm"], 3), met, row.get("commit") or ""])
+    head = ["noise", "refinement", *REGIONS, "P2S cm", "met", "commit"]
+    return "\n".join([*lines, *markdown_table(head, table)]) + "\n"
 
 
 def _selfscan(*arguments: object) -> None:
-    command = [sys.executable, "-m", "selfscan", *map(str, arguments)]
-    print("noise:", *command[2:], flush=True)
-    done = subprocess.run(command, check=False)
-    if done.returncode:
-        raise AssetError(f"`selfscan {' '.join(command[3:])}` ended with {done.returncode}")
+    words = ["selfscan", *map(str, arguments)]
+    note(" ".join(words))
+    code = command(*words)()
+    if code:
+        raise AssetError(f"`{' '.join(words)}` ended with {code}")
 
 
-def main(argv: list[str]) -> int:
+def main(argv: list[str] | None = None) -> int:
     """The command line; see `python -m experiments.noise --help`."""
     parser = argparse.ArgumentParser(prog="python -m experiments.noise", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument(
@@ -187,6 +187,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--poses", type=int, help="score only that many poses of each held-out set")
     parser.add_argument("--iterations", type=int, help="steps per part, instead of the preset's")
     parser.add_argument("--seed", type=int, default=0)
+    argv = sys.argv[1:] if argv is None else argv
     options = parser.parse_args(argv)
     if not (options.capture / "truth" / "rest.npz").is_file():
         raise AssetError(f"{options.capture}: expected a capture with truth/, made by `selfscan synth`")
@@ -196,20 +197,11 @@ def main(argv: list[str]) -> int:
               extra=extra)  # fmt: skip
     rows = lost(rows_in(options.out))
     text = markdown(rows, "python -m experiments.noise " + " ".join(argv))
-    _write(options.out / "noise.json", json.dumps({"format": "selfscan-noise", "rows": rows}, indent=1))
-    _write(options.out / "noise.md", text)
+    write_json(options.out / "noise.json", {"format": "selfscan-noise", "rows": rows})
+    write_text(options.out / "noise.md", text)
     print(text)
     return 0
 
 
-def _write(path: Path, content: str) -> None:
-    with whole_file(path, "w") as file:
-        file.write(content)
-
-
 if __name__ == "__main__":
-    try:
-        sys.exit(main(sys.argv[1:]))
-    except AssetError as error:
-        print(f"experiments.noise: {error}", file=sys.stderr)
-        sys.exit(1)
+    end_with(main)

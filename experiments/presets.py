@@ -9,7 +9,6 @@ scored. A preset's schedule is shortened to the given steps; the hours of its ow
 """
 
 import argparse
-import json
 import math
 import time
 from collections.abc import Sequence
@@ -26,9 +25,10 @@ from avatar.psnr import decibels
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from bench.ladder.machine import commit, cpu_name
+from bench.report.writer import markdown_table
 from capture.folder import read_capture
 from command.errors import AssetError
-from files.whole import whole_file
+from files.whole import whole_file, write_json, write_text
 from train.field import PartField
 from train.objective import Batch, RayTensors, beta_at, functions_of, render_rays
 from train.part_job import PartJob, part_untrained
@@ -157,9 +157,6 @@ def one_preset(
 
 def plot(result: dict[str, Any], path: Path) -> None:
     """Seconds of training against held-out PSNR, one line a preset."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 4.5), dpi=110, layout="constrained")
@@ -193,17 +190,15 @@ def markdown(result: dict[str, Any]) -> str:
             "On a CPU: smoke-sized. What the presets for a GPU cost there is not what they cost on one.",
             "",
         ]
-    lines += [
-        "| preset | steps here | seconds | PSNR dB | s a step | its own steps | hours of these, this part |",
-        "|-|-|-|-|-|-|-|",
-    ]
+    rows = []
     for preset in result["presets"]:
         last = preset["checkpoints"][-1]
         hours = f"{preset['hours_of_own_iterations']:.3g}" + (", extrapolated" if preset["extrapolated"] else "")
-        lines.append(
-            f"| {preset['preset']} | {preset['iterations']} | {last['seconds']:.1f} | {last['psnr_db']:.2f} | "
-            f"{preset['seconds_per_iteration']:.3g} | {preset['own_iterations']} | {hours} |"
-        )
+        seconds, decibels = f"{last['seconds']:.1f}", f"{last['psnr_db']:.2f}"
+        a_step, own_steps = f"{preset['seconds_per_iteration']:.3g}", str(preset["own_iterations"])
+        rows.append([preset["preset"], str(preset["iterations"]), seconds, decibels, a_step, own_steps, hours])
+    head = ["preset", "steps here", "seconds", "PSNR dB", "s a step", "its own steps", "hours of these, this part"]
+    lines += markdown_table(head, rows)
     return "\n".join(lines) + "\n\n![accuracy against seconds](presets.png)\n"
 
 
@@ -243,10 +238,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         "machine": {"device": device, "kind": given.device, "commit": commit()},
         "presets": presets,
     }
-    with whole_file(given.out / "presets.json", "w") as file:
-        json.dump(result, file, indent=1)
-    with whole_file(given.out / "presets.md", "w") as file:
-        file.write(markdown(result))
+    write_json(given.out / "presets.json", result)
+    write_text(given.out / "presets.md", markdown(result))
     plot(result, given.out / "presets.png")
     return 0
 

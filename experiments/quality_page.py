@@ -4,7 +4,6 @@ python -m experiments.quality_page white_m.json white_f.json ... -o docs/quality
 """
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from bench.score.quality_table import MODES, PAPER, cells
 from command.errors import AssetError
 from experiments.claim_page import FORMAT, page
 from files.input_file import read_json_object
-from files.whole import whole_file
+from files.whole import write_text
 
 
 def light_of_facts(facts: dict[str, Any]) -> str:
@@ -130,17 +129,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--claim", type=Path, metavar="JSON", help="of experiments.claim: its mean comes last")
     parser.add_argument("-o", dest="out", type=Path, required=True, metavar="TABLE.md")
     options = parser.parse_args(argv)
-    results = []
-    for path in options.results:
-        try:
-            results.append(json.loads(path.read_text("utf-8")))
-        except (OSError, ValueError) as error:
-            raise AssetError(f"{path}: expected a result of `selfscan eval --json`, found: {error}") from None
-    text = people_table(results)
+    text = people_table([read_json_object(path, "a result of `selfscan eval --json`") for path in options.results])
     if options.claim is not None:
         text += "\n" + claim_section(options.claim)
-    with whole_file(options.out, "w") as file:
-        file.write(text)
+    write_text(options.out, text)
     return 0
 
 

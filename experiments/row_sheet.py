@@ -15,7 +15,7 @@ from avatar.camera import Camera, orbit_camera
 from avatar.skeleton import JOINTS
 from avatar.texture import bytes_of
 from bench.field.drawer import Drawer
-from bench.report.contact import VIEW_TITLE, cropped, save_sheet, sheet, spread_poses, square_about
+from bench.report.contact import VIEW_TITLE, save_sheet, sheet, spread_poses, square_about
 from bench.score.ceiling import true_subject
 from bench.score.picture_scores import is_t_pose
 from bench.score.true_mesh import TrueMesh
@@ -50,8 +50,8 @@ def write_sheet(
         for view in spread_poses(bent, kind, 1):
             true, ours = view.image(), drawer.draw(view.axis_angle, view.root, view.camera, 2).color
             apart = np.clip(DIFFERENCE * np.abs(ours - true), 0, 1)
-            where = square_about(view.mask() if kind == "body" else view.parts() > 0, kind)
-            rows.append(cropped([true, ours, apart], where))
+            where = square_about(view)
+            rows.append([bytes_of(picture[where]) for picture in (true, ours, apart)])
             name = f"{VIEW_TITLE[kind]}, pose {view.pose_index}".lstrip(", ")
             titles.append([f"truth: {name}", out.name, f"difference x {DIFFERENCE:.0f}"])
     if seams is not None:

@@ -11,7 +11,6 @@ and the interval of p is the middle 95 % over rounds drawn with replacement. A f
 """
 
 import argparse
-import json
 import sys
 import tempfile
 import time
@@ -29,9 +28,10 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.gltf.avatar_file import read_avatar
-from bench.ladder.machine import machine
-from bench.ladder.quiet import Quiet, warning
-from files.whole import whole_file, whole_folder
+from bench.ladder.machine import Quiet
+from bench.report.writer import markdown_table
+from experiments.alternating import here
+from files.whole import whole_folder, write_json, write_text
 from player.draw.drawing import Pose
 from player.gl.context import Context, opened
 from player.scene.arguments import parse_size
@@ -109,14 +109,8 @@ def take_turns(
     programs: Sequence[Callable[[int], object]], rounds: int
 ) -> tuple[Float[np.ndarray, "rounds points"], Float[np.ndarray, "rounds points"]]:
     """Milliseconds of each program in each round, passed and of processors; each runs once untimed before."""
-    wall, cpu = np.zeros((2, rounds, len(programs)))
-    for number in range(rounds):
-        for k, run in enumerate(programs):
-            run(2 * number)
-            start, used = time.perf_counter(), time.process_time()
-            run(2 * number + 1)
-            cpu[number, k] = 1e3 * (time.process_time() - used)
-            wall[number, k] = 1e3 * (time.perf_counter() - start)
+    turns = [[here(run, 1)(2 * number) for run in programs] for number in range(rounds)]
+    wall, cpu = np.array([[(turn.wall[0], turn.cpu[0]) for turn in row] for row in turns]).transpose(2, 0, 1)
     # a clock that did not move
     return np.maximum(wall, 1e-4), np.maximum(cpu, 1e-4)
 
@@ -238,23 +232,19 @@ def bench_scale(
             }
             sweeps.append(drawn_sweep(f"pixels, one avatar of {few} triangles", by_pixels, rounds, report))
             sweeps.append(motion_sweep(avatar, steps.frames, rounds, report))
-        facts = machine(context.renderer, context.kind)
     finally:
         context.release()
     result = {
         "format": "selfscan-bench-scale",
-        "machine": facts | {"others_cpu_share": quiet.others},
-        "warning": warning(quiet.others, facts["load_average"]),
+        **quiet.facts(context),
         "avatar": avatar.name,
         "size": list(size),
         "rounds": rounds,
         "sweeps": [sweep.row() for sweep in sweeps],
     }
     with whole_folder(out) as folder:
-        with whole_file(folder / "scale.json", "w") as file:
-            json.dump(result, file, indent=1)
-        with whole_file(folder / "scale.md", "w") as file:
-            file.write(scale_markdown(result))
+        write_json(folder / "scale.json", result)
+        write_text(folder / "scale.md", scale_markdown(result))
     return result
 
 
@@ -268,16 +258,17 @@ def scale_markdown(result: dict[str, Any]) -> str:
         f"{facts['renderer']}; {facts['cpu']}, {facts['cores']} cores; load {facts['load_average']:.1f}; commit "
         f"{facts['commit']}. {result['rounds']} rounds in turns; the exponent p of t = c x^p with its 95 % interval.",
         "",
-        "| what grows | p of processor time | p of time passed | processor ms a frame, from the least to the most |",
-        "|---|---|---|---|",
     ]
+    rows = []
     for row in result["sweeps"]:
         cpu, wall = (
             f"{one['exponent']:.2f} ({one['low']:.2f} to {one['high']:.2f})"
             for one in (row["exponents"]["cpu"], row["exponents"]["wall"])
         )
         points = ", ".join(f"{x}: {ms:.3g}" for x, ms in zip(row["x"], row["cpu_ms"], strict=True))
-        lines.append(f"| {row['name']} | {cpu} | {wall} | {points} |")
+        rows.append([row["name"], cpu, wall, points])
+    head = ["what grows", "p of processor time", "p of time passed"]
+    lines += markdown_table([*head, "processor ms a frame, from the least to the most"], rows)
     if result["warning"]:
         lines += ["", result["warning"]]
     return "\n".join([*lines, ""])

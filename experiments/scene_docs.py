@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 from command.settings import Above, AtLeast, AtMost, Color, OneOf, Rows, Setting, rule_of, settings_of
-from files.whole import whole_file
+from files.whole import write_text
 from player.scene.scene import Scene
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -125,10 +125,8 @@ def main() -> None:
     """Write both files."""
     page = DOCS / "scenes.md"
     text = with_tables(page.read_text("utf-8"))
-    with whole_file(page, "w") as file:
-        file.write(text)
-    with whole_file(DOCS / "scene.schema.json", "w") as file:
-        file.write(json.dumps(scene_schema(), indent=1) + "\n")
+    write_text(page, text)
+    write_text(DOCS / "scene.schema.json", json.dumps(scene_schema(), indent=1) + "\n")
 
 
 if __name__ == "__main__":

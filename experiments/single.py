@@ -32,6 +32,7 @@ from capture.template.parts import part_boxes
 from capture.template.surface import SurfaceCloud, neck_height, surface_cloud, visible_faces
 from command.command_line import Help, parse
 from command.errors import AssetError
+from experiments.program import end_with
 from train.command import TrainOptions
 from train.compose import HeadPlacement, place_head
 from train.distributed import leave_ranks
@@ -257,7 +258,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except AssetError as error:
-        raise SystemExit(f"single: {error}") from None
+    end_with(main)

@@ -8,7 +8,6 @@ mesh. Prints a table in Markdown.
 """
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,9 +20,10 @@ from avatar.motion.read import read_motion
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, dense_weights, skin_points
 from bake.skin import quantised
+from bench.report.writer import markdown_table
 from command.errors import AssetError
 from command.progress import progress
-from files.whole import whole_file
+from files.whole import write_json
 from geometry.mesh import half_edges
 
 # an edge longer or shorter than this many times its rest length counts as torn or crushed
@@ -162,19 +162,14 @@ def compare_rules(
 
 def table(result: dict[str, Any]) -> str:
     """The comparison in Markdown."""
-    lines = [
-        f"{result['poses']} poses, {result['faces']} triangles; mean over poses (worst pose)",
-        "",
-        "| rule | 999 of 1000 edges within | edges beyond 2x | finger edges beyond 2x | crossing triangles |",
-        "|---|---|---|---|---|",
+    head = ["rule", "999 of 1000 edges within", "edges beyond 2x", "finger edges beyond 2x", "crossing triangles"]
+    shown = {"stretch_p999": "{:.2f}x", "stretched": "{:.3%}", "hand_stretched": "{:.3%}", "crossings": "{:.0f}"}
+    rows = [
+        [name, *(f"{how.format(one[key]['mean'])} ({how.format(one[key]['worst'])})" for key, how in shown.items())]
+        for name, one in result["rules"].items()
     ]
-    for name, one in result["rules"].items():
-        factor, share, pairs, hands = (one[k] for k in ("stretch_p999", "stretched", "crossings", "hand_stretched"))
-        lines.append(
-            f"| {name} | {factor['mean']:.2f}x ({factor['worst']:.2f}x) | {share['mean']:.3%} ({share['worst']:.3%}) "
-            f"| {hands['mean']:.3%} ({hands['worst']:.3%}) | {pairs['mean']:.0f} ({pairs['worst']:.0f}) |"
-        )
-    return "\n".join(lines)
+    said = f"{result['poses']} poses, {result['faces']} triangles; mean over poses (worst pose)"
+    return "\n".join([said, "", *markdown_table(head, rows)])
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -196,8 +191,7 @@ def main(argv: list[str] | None = None) -> int:
     poses = real_poses(arguments.motions, arguments.poses)
     result = compare_rules(avatar, subject.vertices, subject.skin, poses, arguments.level)
     if arguments.json:
-        with whole_file(arguments.json, "w") as file:
-            json.dump(result, file, indent=1)
+        write_json(arguments.json, result)
     print(table(result))
     return 0
 

@@ -7,7 +7,6 @@ docs/speed.md says what is measured and how. Writes speed.json, speed.md and spe
 """
 
 import argparse
-import json
 import os
 import tempfile
 from collections.abc import Sequence
@@ -22,14 +21,13 @@ import numpy as np
 from avatar.baked_avatar import Avatar, ViewNetwork
 from avatar.camera import Camera
 from avatar.gltf.avatar_file import read_avatar
-from bench.ladder.machine import machine
-from bench.ladder.quiet import Quiet, warning
+from bench.ladder.machine import Quiet
 from command.errors import AssetError
 from experiments import speed_peers, speed_rows
 from experiments.alternating import alternate, here
 from experiments.bare_draw import BareDraw, coverage
 from experiments.speed_page import markdown, plot
-from files.whole import whole_file, whole_folder
+from files.whole import whole_folder, write_json, write_text
 from player.budget.ladder import views_of
 from player.budget.rung import VIEW_NAMES
 from player.gl.context import Context, opened
@@ -238,15 +236,13 @@ def speed(
             if peers is not None:
                 found = time_peers(context, avatar, poses, camera_of(SIZES[0]), peers, peer_names, styles, seconds / 2)
             session = speed_rows.measure(rows, path, context, poses, camera_of(SIZES[0]))
-        facts = machine(context.renderer, context.kind)
     finally:
         context.release()
     result = {
         "format": "selfscan-speed",
         "version": 1,
         "date": datetime.now(UTC).date().isoformat(),
-        "machine": facts | {"others_cpu_share": quiet.others},
-        "warning": warning(quiet.others, facts["load_average"]),
+        **quiet.facts(context),
         "avatar": avatar.name,
         "faces": len(avatar.levels[0].faces),
         "vertices": len(avatar.levels[0].positions),
@@ -258,10 +254,8 @@ def speed(
         "bars": bars(measured, found),
     }
     with whole_folder(out) as folder:
-        with whole_file(folder / "speed.json", "w") as file:
-            json.dump(result, file, indent=1)
-        with whole_file(folder / "speed.md", "w") as file:
-            file.write(markdown(result))
+        write_json(folder / "speed.json", result)
+        write_text(folder / "speed.md", markdown(result))
         plot(result, folder / "speed.png")
     return result
 

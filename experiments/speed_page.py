@@ -83,9 +83,6 @@ def peers_table(peers: dict[str, Any]) -> list[str]:
 
 def plot(result: dict[str, Any], path: Path) -> None:
     """Milliseconds a frame, one bar a program: a group a size, and the peers."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     from matplotlib.figure import Figure
 
     groups = [

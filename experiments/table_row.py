@@ -7,7 +7,6 @@ A process for every row: a variant may optimise, and torch's optimiser must be l
 
 import argparse
 import hashlib
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,8 +21,7 @@ from bench.ladder.machine import machine
 from bench.score.lpips import read_perceptual
 from bench.score.metrics import Perceive
 from bench.score.picture_scores import PictureJudge, is_t_pose, score_images
-from bench.score.pose_distances import distinct_poses
-from bench.score.posed_geometry import SAMPLES, Distances, measure_pose, posed_pair
+from bench.score.pose_distances import JudgedSurfaces, measure_poses, same_poses
 from bench.score.quality import CAPTURE_FACTS, evaluate, seen_case, some_poses
 from bench.score.region_scores import regions_of
 from bench.score.true_mesh import TrueMesh, read_true_mesh
@@ -31,8 +29,9 @@ from capture.folder import read_capture
 from capture.held_out import HeldOutView, read_capture_facts, read_held_out
 from command.errors import AssetError
 from experiments.row_sheet import write_sheet
+from experiments.short_training import read_kept
 from experiments.variants import VARIANTS, seam_steps, variant
-from files.whole import whole_file
+from files.whole import write_json
 from train.run import Run, read_run
 
 FORMAT = "selfscan-table-row"
@@ -109,11 +108,7 @@ def digest(path: Path) -> str:
 
 def finished(path: Path, expected: dict[str, Any]) -> bool:
     """Whether the file is a row measured from exactly this."""
-    try:
-        found = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(found, dict) and found.get("format") == FORMAT and found.get("stamp") == expected
+    return read_kept(path, {"format": FORMAT, "stamp": expected}) is not None
 
 
 def measure_row(
@@ -134,21 +129,17 @@ def measure_row(
     facts = read_capture_facts(capture)
     truth = read_true_mesh(capture)
     views = read_held_out(capture, "novel_pose")
-    result: dict[str, Any] = {}
     with one_thread():
         if row.name == "ours":
-            quality = evaluate(run_path, capture, poses=our_poses, few=poses, lpips=lpips)
-            with whole_file(folder / "quality.json", "w") as file:
-                json.dump(quality, file, indent=1)
-            result = {"novel_pose": quality.get("few_poses", quality["novel_pose"])}
+            quality = evaluate(run_path, capture, poses=our_poses, lpips=lpips)
+            write_json(folder / "quality.json", quality)
         drawer = Drawer(changed, row.directions)
         try:
-            if row.name != "ours":
-                perceive = read_perceptual(lpips).score if lpips else None
-                measured = row.training != PARTS_TRAINING or not same_surface(changed, trained)
-                result = measured_row(drawer, truth, some_poses(views, poses), measured, perceive)
+            perceive = read_perceptual(lpips).score if lpips else None
+            measured = row.name == "ours" or row.training != PARTS_TRAINING or not same_surface(changed, trained)
+            result = measured_row(drawer, truth, some_poses(views, poses), measured, perceive)
             write_sheet(drawer, truth, capture, facts, views, row.title, folder / row.name, steps)
-            measured_on = machine(drawer.context.renderer, drawer.context.kind)
+            measured_on = machine(drawer.context)
         finally:
             drawer.release()
     return {
@@ -190,12 +181,9 @@ def measured_row(
     images = score_images(PictureJudge(truth, drawer.draw, perceive), views, "pictures", t_pose_apart=True)
     if not geometry:
         return {"novel_pose": regions_of({}, images.scored), "geometry": "as ours"}
-    case = seen_case(drawer, truth, drawer.surface)
-    distances = {region: Distances() for region in SAMPLES}
-    for view in distinct_poses([view for view in views if not is_t_pose(view)]):
-        pose = view.axis_angle, view.root
-        measure_pose(case, posed_pair(case, truth.posed(*pose), drawer.surface.posed(*pose)), distances)
-    return {"novel_pose": regions_of(distances, images.scored)}
+    surfaces = JudgedSurfaces(seen_case(drawer, truth, drawer.surface))
+    distances = measure_poses(surfaces, same_poses([view for view in views if not is_t_pose(view)]), "surfaces")
+    return {"novel_pose": regions_of(distances.ours, images.scored)}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -219,8 +207,7 @@ def main(argv: list[str] | None = None) -> int:
         our_poses=options.our_poses,
         lpips=options.lpips,
     )
-    with whole_file(options.folder / f"{row.name}.json", "w") as file:
-        json.dump(result, file, indent=1)
+    write_json(options.folder / f"{row.name}.json", result)
     print(f"{row.title}: {result['cpu_seconds']:.0f} CPU s", flush=True)
     return 0
 

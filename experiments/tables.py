@@ -8,20 +8,21 @@ OUT/tables.md are written from all rows in OUT, whatever call made them.
 """
 
 import argparse
-import json
-import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.demo import command
 from capture.held_out import read_capture_facts
 from command.errors import AssetError
+from command.stages import command
+from experiments.program import end_with, note
+from experiments.short_training import begun
 from experiments.table_page import page
 from experiments.table_row import FORMAT, PARTS_TRAINING, ROWS, SINGLE, Row, Training, finished, stamp
-from files.whole import whole_file
+from files.input_file import read_json_object
+from files.whole import write_json, write_text
 from train.preset import PRESETS
 
 SAME = (
@@ -54,10 +55,6 @@ class Options:
     jobs: int  # rows measured at once
 
 
-def note(text: str) -> None:
-    print(f"tables: {text}", file=sys.stderr, flush=True)
-
-
 def run_of(options: Options, capture: Path, seed: int, training: Training) -> Path:
     name = capture.name + training.suffix + (f"_seed{seed}" if seed else "")
     return options.runs / name
@@ -73,7 +70,7 @@ def train(options: Options, capture: Path, seed: int, training: Training) -> Cal
         if (ours / "run.json").exists():
             words += ["--head-from", ours]
     words += ["--iterations", str(options.iterations)] if options.iterations else []
-    words += ["--resume"] if run.with_name(run.name + ".partial").exists() else []
+    words += ["--resume"] if begun(run) else []
     return command(*words)
 
 
@@ -95,10 +92,7 @@ def check_run(run: Path, capture: Path, options: Options, seed: int) -> None:
     Raises:
         AssetError: names the run and what differs.
     """
-    try:
-        facts = json.loads((run / "run.json").read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise AssetError(f"{run / 'run.json'}: expected a trained run, found: {error}") from None
+    facts = read_json_object(run / "run.json", "a trained run")
     filmed, expected = facts.get("capture", {}), read_capture_facts(capture)
     for name in SAME:
         if filmed.get(name) != expected.get(name):
@@ -151,10 +145,7 @@ def collect(out: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Every finished row in OUT, and the whole evaluations of ours."""
     results, quality = [], []
     for path in sorted(out.glob("*/seed*/*.json")):
-        try:
-            found = json.loads(path.read_text("utf-8"))
-        except (OSError, ValueError) as error:
-            raise AssetError(f"{path}: expected a finished row, found: {error}") from None
+        found = read_json_object(path, "a finished row")
         seed = int(path.parent.name.removeprefix("seed"))
         named = found | {"name": path.parent.parent.name, "seed": seed}
         if found.get("format") == FORMAT:
@@ -171,11 +162,9 @@ def tables(options: Options) -> list[str]:
         for capture in options.captures:
             absent += person(options, capture, seed)
     results, quality = collect(options.out)
-    with whole_file(options.out / "tables.json", "w") as file:
-        summary = {"format": "selfscan-tables", "rows": results, "quality": quality, "absent": absent}
-        json.dump(summary, file, indent=1)
-    with whole_file(options.out / "tables.md", "w") as file:
-        file.write(page(results, quality, absent))
+    summary = {"format": "selfscan-tables", "rows": results, "quality": quality, "absent": absent}
+    write_json(options.out / "tables.json", summary)
+    write_text(options.out / "tables.md", page(results, quality, absent))
     return absent
 
 
@@ -228,7 +217,4 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        raise SystemExit(main())
-    except AssetError as error:
-        raise SystemExit(f"tables: {error}") from None
+    end_with(main)

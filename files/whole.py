@@ -58,6 +58,17 @@ def whole_file(path: Path | str, mode: str = "wb") -> Iterator[IO[Any]]:
         os.replace(name, target)
 
 
+def write_text(path: Path | str, text: str) -> None:
+    """A whole file of text."""
+    with whole_file(path, "w") as file:
+        file.write(text)
+
+
+def write_json(path: Path | str, content: object) -> None:
+    """A whole file of JSON, one entry a line."""
+    write_text(path, json.dumps(content, indent=1))
+
+
 @contextmanager
 def whole_folder(path: Path | str) -> Iterator[Path]:
     """A folder that appears at `path` only when the block ends without an error.
@@ -78,7 +89,8 @@ def whole_folder(path: Path | str) -> Iterator[Path]:
             # the message names a file in it: it is given the name that it would have had
             raise AssetError(str(error).replace(str(unfinished), str(path))) from None
         content = {name: _state(file) for name, file in _content(unfinished)}
-        (unfinished / MARK).write_text(_mark_of(content), "utf-8")
+        mark = {"format": "selfscan-folder", "content": content}
+        (unfinished / MARK).write_text(json.dumps(mark, indent=0), "utf-8")
         os.chmod(unfinished, 0o777 & ~_umask())
         _put_in_place(unfinished, target)
 
@@ -262,19 +274,13 @@ def _free(path: Path, ending: str) -> Path:
 
 def _foreign(folder: Path) -> str | None:
     """What of a folder was not written by `whole_folder`, in words; None: nothing."""
-    listed = None
+    listed = _listed(folder)
     for name, path in _content(folder):
-        if listed is None:
-            listed = _listed(folder)
         if name not in listed:
             return f"{name} in it is not known to be selfscan's"
         if listed[name] != _state(path):
             return f"{name} in it was changed"
     return None
-
-
-def _mark_of(content: dict[str, list[int]]) -> str:
-    return json.dumps({"format": "selfscan-folder", "content": content}, indent=0)
 
 
 def _listed(folder: Path) -> dict[str, list[int]]:

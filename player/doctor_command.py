@@ -1,20 +1,22 @@
 """`selfscan doctor`: what this machine can draw with."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from command.command_line import Help, Option, parse
-from files.whole import whole_file
+from files.whole import write_json
 
 
 @dataclass(frozen=True)
 class DoctorCommand:
     """`selfscan doctor`."""
 
-    compare: Annotated[str | None, Option(metavar="AVATAR", const="mannequin"),
-        "draw one frame (of the built-in body) on EGL, on OSMesa and in a window, and compare them"] = None
+    compare: Annotated[
+        str | None,
+        Option(metavar="AVATAR", const="mannequin"),
+        "draw one frame (of the built-in body) on EGL, on OSMesa and in a window, and compare them",
+    ] = None
     json: Annotated[Path | None, Option(metavar="FILE"), "write the findings to a file"] = None
 
 
@@ -35,6 +37,5 @@ def doctor_main(argv: list[str]) -> int:
         print(result["text"])
         worked = worked and result["equal"]
     if options.json:
-        with whole_file(options.json, "w") as file:
-            json.dump(found, file, indent=1)
+        write_json(options.json, found)
     return 0 if worked else 1

@@ -10,7 +10,7 @@ from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.progress import plural
 from command.settings import OneOf
-from files.whole import check_file, whole_file
+from files.whole import check_file, write_text
 from player.scene.arguments import AvatarOption, BodyOption, FramesOption, GroundOption, HandsOption, MotionOption
 from player.scene.motions import frame_range, ground_for, motion_for
 from player.scene.opened import opened_avatar
@@ -90,8 +90,7 @@ def write_page(path: Path, avatar: Avatar, motion: Motion, start: int, stop: int
         found = f"{size / 1e6:.1f} ({parts_summary(written)})"
         advice = "fewer --frames, --levels 1, or bake with a smaller --texture"
         raise AssetError(f"{path}: expected at most {MOST_BYTES / 1e6:.0f} MB, found {found}; {advice}")
-    with whole_file(path, "w") as file:
-        file.write(text)
+    write_text(path, text)
     return written
 
 

@@ -1,22 +1,21 @@
 """`selfscan synth`: the four self-scan videos of a person whose mesh is known, and the truth to measure against."""
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from avatar.camera import write_cameras
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import PARENTS, PARTS
+from avatar.skeleton import PARTS
+from capture.read.template import write_template
 from command.errors import AssetError
-from command.progress import Progress, plural
+from command.progress import plural, progress
 from command.settings import settings_json
-from files.whole import check_folder, whole_file, whole_folder
+from files.whole import check_folder, whole_file, whole_folder, write_json
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
 from synth.cutout import cut_out
@@ -59,13 +58,12 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
         )
         facts = _facts(person, template, config)
         with whole_folder(out) as folder:
-            _write_template(folder / "subject.npz", template)
+            write_template(folder / "subject.npz", template.mesh, template.hair, template.eyes)
             _film(folder, studio, template, videos, config)
             if config.truth:
                 write_rest(folder / "truth", person, visible)
                 _take_held_out(folder / "truth", studio, config)
-            with whole_file(folder / "capture.json", "w") as file:
-                json.dump(facts, file, indent=1)
+            write_json(folder / "capture.json", facts)
     for part, shots in videos.items():
         camera = shots.cameras[0]
         distance = np.linalg.norm(camera.eye - shots.root.mean(0)) if part == "body" else np.linalg.norm(camera.eye)
@@ -151,7 +149,7 @@ def _facts(person: SynthSubject, template: RegisteredTemplate, config: SynthConf
         "frames": config.frames,
         "input": "given" if config.template == "registered" else "shape_only",
         "body": template.body,
-        "body_licence": template.body_licence,
+        "body_licence": template.mesh.licence,
         "subject_licence": person.licence,
         "registration": {key: round(value, 4) for key, value in template.residual.items()},
         "head_units_per_metre": scale_of(seeded_similarity(config.seed)),
@@ -159,54 +157,29 @@ def _facts(person: SynthSubject, template: RegisteredTemplate, config: SynthConf
     }
 
 
-def _write_template(path: Path, template: RegisteredTemplate) -> None:
-    # any, as savez has a keyword that is no array
-    fields: dict[str, Any] = {
-        "v_template": template.vertices,
-        "faces": template.faces,
-        "skin_joints": template.skin.joints.astype(np.uint8),
-        "skin_weights": template.skin.weights.astype(np.float32),
-        "joints": template.joints,
-        "parents": PARENTS,
-        "uv": template.uv,
-        "uv_faces": template.uv_faces,
-        "hair": template.hair,
-        "part": template.part,
-    }
-    if template.eyes is not None:
-        fields["eyes"] = template.eyes
-    with whole_file(path) as file:
-        np.savez_compressed(file, **fields)
-
-
 def _film(
     folder: Path, studio: Studio, template: RegisteredTemplate, videos: dict[str, Shots], config: SynthConfig
 ) -> None:
     """Take the four videos and write them with the cameras, poses and facts that training reads."""
-    done, report = 0, Progress("filming", sum(len(shots.root) for shots in videos.values()))
     for part, shots in videos.items():
+        truth, out = folder / "truth" / part, folder / part
+        for made in (truth, out / "images", out / "masks"):
+            made.mkdir(parents=True)
+        present = np.ones(len(shots.root), bool)
+        write_frames(truth / "video.npz", shots.axis_angle, shots.root, shots.cameras[0], present)
         light = light_of(config.light or "even", part, config.seed)
-        (folder / "truth" / part).mkdir(parents=True)
-        write_frames(folder / "truth" / part / "video.npz", shots)
-        for kind in ("images", "masks"):
-            (folder / part / kind).mkdir(parents=True)
-        for i, camera in enumerate(shots.cameras):
+        for i, camera in enumerate(progress(shots.cameras, f"filming {part}")):
             photo = studio.take(studio.posed(shots.axis_angle[i], shots.root[i]), camera, light, config.sheen)
-            write_photo(folder / part, f"{i:06d}", photo)
-            done += 1
-            report.update(done, part)
+            write_photo(out, f"{i:06d}", photo)
         if part == "head":
             similarity = seeded_similarity(config.seed)
-            write_cameras(
-                folder / part / "cameras.npz", cameras_in_head_frame(shots, studio.subject.joints, similarity)
-            )
-            with whole_file(folder / part / "landmarks.json", "w") as file:
-                json.dump(landmarks(template, similarity, config.seed), file, indent=1)
+            write_cameras(out / "cameras.npz", cameras_in_head_frame(shots, studio.subject.joints, similarity))
+            write_json(out / "landmarks.json", landmarks(template, similarity, config.seed))
             continue
         written = disturbed(shots, config.pose_noise, config.seed)
         turn = matrix_from_axis_angle(written.axis_angle[:, 0])
-        write_cameras(folder / part / "cameras.npz", shots.cameras)
-        with whole_file(folder / part / "poses.npz") as file:
+        write_cameras(out / "cameras.npz", shots.cameras)
+        with whole_file(out / "poses.npz") as file:
             np.savez(
                 file,
                 poses=written.axis_angle.reshape(len(written.root), -1),
@@ -223,10 +196,8 @@ def _take_held_out(folder: Path, studio: Studio, config: SynthConfig, looks: Det
     light = light_of(config.light or "even", "body", config.seed)
     sets = {"novel_pose": novel_poses(config.seed), "novel_view": novel_views(config.seed)}
     finer = Studio(studio.rasteriser, studio.subject, supersample=2)
-    done, report = 0, Progress("held-out pictures", 4 * sum(len(stands) for stands in sets.values()))
-    for number, (name, stands) in enumerate(sets.items()):
-        for picture in take_set(
-            finer, stands, folder / name, light, config.sheen, 100_000 * (number + 1) + config.seed, looks
-        ):
-            done += 1
-            report.update(done, picture)
+    for number, (name, stands) in enumerate(sets.items(), 1):
+        seed = 100_000 * number + config.seed
+        taken = take_set(finer, stands, folder / name, light, config.sheen, seed, looks)
+        for _ in progress(taken, f"{name.replace('_', ' ')}s, held out", 4 * len(stands)):
+            pass

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from avatar.camera import Camera, look_at
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
@@ -215,12 +215,18 @@ def _shoulder_for(forearm: Float[np.ndarray, "3 3"], sign: float) -> Float[np.nd
     return best
 
 
-def write_frames(path: Path, shots: Shots) -> None:
-    """The true pose and place of every frame, and the video's one camera, as truth/PART/video.npz of raw scans."""
-    camera = shots.cameras[0]
+def write_frames(
+    path: Path,
+    axis_angle: Float[np.ndarray, "frames 52 3"],
+    root: Float[np.ndarray, "frames 3"],
+    camera: Camera,
+    present: Bool[np.ndarray, "frames"],
+) -> None:
+    """truth/PART/video.npz: the true pose and place of every frame, whether the person is in it, and the video's one
+    camera."""
     with whole_file(path) as file:
         np.savez_compressed(
-            file, poses=shots.axis_angle, root=shots.root, present=np.ones(len(shots.root), bool), K=camera.K,
+            file, poses=axis_angle, root=root, present=present, K=camera.K,
             camera_from_world=camera.camera_from_world, size=np.array(camera.size),
         )  # fmt: skip
 

@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from avatar.camera import Camera
 from avatar.rotation import matrix_from_quaternion
-from avatar.skeleton import JOINTS, joint_transforms
+from avatar.skeleton import JOINTS, PARTS, joint_transforms
+from capture.read.places import landmark_vertices
 from synth.film import Shots
 from synth.template import RegisteredTemplate
 
@@ -56,48 +57,17 @@ def cameras_in_head_frame(
     return tuple(cameras)
 
 
-def landmark_vertices(template: RegisteredTemplate) -> dict[str, int]:
-    """Template vertices of a dozen places that a person can point at in pictures of a head; none under hair."""
-    rest = template.vertices.astype(np.float64)
-    candidates = np.flatnonzero((template.part == 1) & ~template.hair)
-    points = rest[candidates]
-    frontal = points[np.abs(points[:, 0] - np.median(points[:, 0])) < 0.015]
-    nose = frontal[frontal[:, 2].argmax()]
-    spots = {
-        "nose_tip": nose,
-        "brow": nose + [0, 0.055, -0.02],
-        "forehead": nose + [0, 0.085, -0.02],
-        "chin": nose + [0, -0.075, -0.02],
-        "left_eye": nose + [0.045, 0.038, -0.03],
-        "right_eye": nose + [-0.045, 0.038, -0.03],
-        "left_mouth": nose + [0.027, -0.037, -0.02],
-        "right_mouth": nose + [-0.027, -0.037, -0.02],
-        "left_ear": nose + [0.085, 0.005, -0.11],
-        "right_ear": nose + [-0.085, 0.005, -0.11],
-        "left_jaw": nose + [0.06, -0.05, -0.07],
-        "right_jaw": nose + [-0.06, -0.05, -0.07],
-        "crown": nose + [0, 0.14, -0.11],
-        "nape": nose + [0, -0.02, -0.21],
-    }
-    found = {}
-    for name, spot in spots.items():
-        # the outermost of the vertices round the spot, so that no landmark lies inside the mouth or an eye
-        nearest = np.argsort(np.linalg.norm(points - spot, axis=1))[:8]
-        middle = nose - [0, 0, 0.1]
-        outermost = nearest[np.linalg.norm(points[nearest] - middle, axis=1).argmax()]
-        if np.linalg.norm(points[outermost] - spot) < 0.035:
-            found[name] = int(candidates[outermost])
-    return found
-
-
 def landmarks(
     template: RegisteredTemplate, head_from_canonical: Float[np.ndarray, "4 4"], seed: int
 ) -> dict[str, dict]:
-    """landmarks.json: points in the head frame, LANDMARK_NOISE off, and the template vertices they belong to."""
-    vertices = landmark_vertices(template)
+    """landmarks.json: points in the head frame, LANDMARK_NOISE off, and the template vertices they belong to; none is
+    under hair."""
+    mesh = template.mesh
+    head = (mesh.part == PARTS.index("head")) & ~template.hair
+    vertices = landmark_vertices(mesh.vertices.astype(np.float64), head)
     assert len(vertices) >= 6, f"only {sorted(vertices)} of the landmarks are free of hair"
     rng = np.random.default_rng([seed, 12])
-    places = template.vertices[list(vertices.values())].astype(np.float64) + template.pelvis
+    places = mesh.vertices[list(vertices.values())].astype(np.float64) + template.pelvis
     places = places + LANDMARK_NOISE * rng.standard_normal(places.shape)
     in_head = places @ head_from_canonical[:3, :3].T + head_from_canonical[:3, 3]
     return {

@@ -24,27 +24,29 @@ class StudioLight:
     specular: float = 0.0
 
 
+FRONT = (0.45, 0.65, 0.6)
+STILL = {
+    "even": StudioLight(1.0, 0.0, FRONT),
+    "soft": StudioLight(0.75, 0.25, FRONT),
+    "fixed": StudioLight(0.45, 0.55, FRONT, specular=0.1),
+    "room": ROOM,
+}
+
+
 def light_of(mode: str, video: str, seed: int) -> StudioLight | Room:
     """The light of one video. "varied" gives every video another light; the others share one.
 
     Raises:
         ValueError: no such mode.
     """
-    front = (0.45, 0.65, 0.6)
-    if mode == "even":
-        return StudioLight(1.0, 0.0, front)
-    if mode == "soft":
-        return StudioLight(0.75, 0.25, front)
-    if mode == "fixed":
-        return StudioLight(0.45, 0.55, front, specular=0.1)
+    if mode in STILL:
+        return STILL[mode]
     if mode == "varied":
         rng = np.random.default_rng([seed, *video.encode()])
         azimuth, elevation = rng.uniform(-1.2, 1.2), rng.uniform(0.2, 1.0)
         x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
         ambient = float(rng.uniform(0.45, 0.8))
         return StudioLight(ambient, 1 - ambient, (float(x), float(y), float(np.cos(azimuth) * np.cos(elevation))), 0.05)
-    if mode == "room":
-        return ROOM
     raise ValueError(f"light should be one of {MODES}, is {mode!r}")
 
 

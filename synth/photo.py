@@ -60,11 +60,11 @@ class Studio:
         """A picture of posed vertices."""
         n = self.supersample
         samples, hit, face = self._samples(vertices, camera, light, sheen, None)
-        image = np.round(_block_sum(samples, n) / n**2).astype(np.uint8)
-        covered = 2 * _block_sum(hit.astype(np.uint8), n) >= n**2
+        image = np.round(block_sum(samples, n) / n**2).astype(np.uint8)
+        covered = 2 * block_sum(hit.astype(np.uint8), n) >= n**2
         labels = np.zeros(hit.shape, np.uint8)
         labels[hit] = 1 + self.face_part[face]
-        counts = np.stack([_block_sum((labels == 1 + part).astype(np.uint8), n) for part in range(len(PARTS))])
+        counts = np.stack([block_sum((labels == 1 + part).astype(np.uint8), n) for part in range(len(PARTS))])
         parts = np.where(covered, 1 + counts.argmax(0), 0).astype(np.uint8)
         return Photo(image, np.where(covered, 255, 0).astype(np.uint8), parts)
 
@@ -79,8 +79,8 @@ class Studio:
         """A picture to lay over another one; `lit`: light in a room that was found before."""
         n = self.supersample
         samples, hit, _ = self._samples(vertices, camera, light, sheen, lit)
-        coverage = _block_sum(hit.astype(np.float32), n) / n**2
-        return ExposedPicture(_block_sum(samples, n) / n**2, coverage)
+        coverage = block_sum(hit.astype(np.float32), n) / n**2
+        return ExposedPicture(block_sum(samples, n) / n**2, coverage)
 
     def _samples(
         self,
@@ -143,7 +143,7 @@ def _blend(
     return blended
 
 
-def _block_sum(samples: np.ndarray, n: int) -> np.ndarray:
+def block_sum(samples: np.ndarray, n: int) -> np.ndarray:
     """Sums of n x n blocks; slices are several times faster than a reduction over two inner axes."""
     total = samples[::n, ::n].copy()
     for k in range(1, n * n):

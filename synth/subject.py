@@ -22,10 +22,8 @@ from command.errors import AssetError
 HAIR_NAME = re.compile(r"wig|hair|ponytail|afro|beard", re.IGNORECASE)
 # eyeballs; lids, lashes, brows and glasses are called after the eye as well
 EYE_NAME = re.compile(r"eyes?(balls?)?(?![a-z])", re.IGNORECASE)
-HAIR_SIZE = (
-    # metres: a mesh on the head alone and larger than this in two directions is no eye and no tooth
-    0.10
-)
+# metres: a mesh on the head alone and larger than this in two directions is no eye and no tooth
+HAIR_SIZE = 0.10
 
 
 @dataclass(frozen=True)

@@ -21,14 +21,15 @@ from scipy.spatial import KDTree
 from avatar.body import Body, builtin_body, shaped
 from avatar.rotation import nearest_rotation, rotation_between
 from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, PARTS, RIGHT_HAND
-from avatar.skinning import SkinWeights, skin_points
+from avatar.skinning import skin_points
+from capture.read.template import TemplateMesh, body_template
 from capture.template.eyes import RADIUS, body_sockets, fit_sphere
 from geometry.closest import closest_points, triangle_index
 from geometry.least_squares import factorised
 from geometry.mesh import face_normals, neighbour_matrix, vertex_normals
 from geometry.sample import stratified_samples
 from player.draw.raster import Rasteriser
-from synth.subject import SynthSubject, part_of
+from synth.subject import SynthSubject
 from synth.visibility import view_counts
 
 SAMPLES = 200_000  # points on the subject's visible surface
@@ -58,16 +59,10 @@ _LIMBS += list(range(LEFT_HAND.start, RIGHT_HAND.stop))
 class RegisteredTemplate:
     """The registered body: what a real self-scan would have as its fitted body model."""
 
-    vertices: Float[np.ndarray, "vertices 3"]
-    faces: Int[np.ndarray, "faces 3"]
-    skin: SkinWeights  # the free body's own
-    joints: Float[np.ndarray, "52 3"]  # the subject's own
-    uv: Float[np.ndarray, "T 2"]
-    uv_faces: Int[np.ndarray, "faces 3"]
-    hair: Bool[np.ndarray, "vertices"]  # the subject's hair stands over this vertex
-    part: UInt8[np.ndarray, "vertices"]
+    mesh: TemplateMesh
+    # name of the free body
     body: str
-    body_licence: str
+    hair: Bool[np.ndarray, "vertices"]  # the subject's hair stands over this vertex
     # centimetres, mean distance from the subject's visible surface
     residual: dict[str, float]
     # centre and radius of the eyeballs, left then right; None: the subject's mesh does not separate them
@@ -77,34 +72,21 @@ class RegisteredTemplate:
 
 
 def register(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], rasteriser: Rasteriser) -> RegisteredTemplate:
-    """The template of a subject; `visible` are the faces that can be seen from outside.
+    """The template of a subject, with the free body's skin and the subject's own joints; `visible` are the faces that
+    can be seen from outside.
 
     Both free bodies are tried; the one whose first fit is closer goes on.
     """
     surface = _subject_surface(subject, visible)
-    fits = [_fit_shape(builtin_body(sex), subject.joints, surface) for sex in ("male", "female")]
-    body = min(fits, key=lambda fit: fit[1])[0]
+    body = _closest_body(subject.joints, surface)
     carried = _carry_limbs(body, subject.joints.astype(np.float64))
     placed = _place_head(body, carried, surface)
     outside = _outer_vertices(rasteriser, placed, body.faces)
     vertices = _smooth_offsets(body, placed, surface, outside)
+    mesh = replace(body_template(body), vertices=vertices.astype(np.float32), joints=subject.joints)
     hair = _under_hair(subject, vertices, body.faces)
-    # the built-in bodies have both
-    assert body.uv is not None and body.uv_faces is not None
-    return RegisteredTemplate(
-        vertices=vertices.astype(np.float32),
-        faces=body.faces.astype(np.int32),
-        skin=body.skin,
-        joints=subject.joints,
-        uv=body.uv.astype(np.float32),
-        uv_faces=body.uv_faces.astype(np.int32),
-        hair=hair,
-        part=part_of(body.skin),
-        body=body.name,
-        body_licence=body.licence,
-        residual=_residual(vertices, body.faces, surface),
-        eyes=_eyes(subject, visible),
-    )
+    residual = _residual(vertices, body.faces, surface)
+    return RegisteredTemplate(mesh, body.name, hair, residual, _eyes(subject, visible))
 
 
 def shape_only(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> RegisteredTemplate:
@@ -113,24 +95,20 @@ def shape_only(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> Reg
     a rig or labels.
     """
     surface = _subject_surface(subject, visible, hair=True)
-    fits = [_fit_shape(builtin_body(sex), None, surface) for sex in ("male", "female")]
-    body = min(fits, key=lambda fit: fit[1])[0]
-    assert body.uv is not None and body.uv_faces is not None
+    body = _closest_body(None, surface)
     pelvis = body.joints[0]
-    return RegisteredTemplate(
-        vertices=(body.vertices - pelvis).astype(np.float32),
-        faces=body.faces.astype(np.int32),
-        skin=body.skin,
-        joints=(body.joints - pelvis).astype(np.float32),
-        uv=body.uv.astype(np.float32),
-        uv_faces=body.uv_faces.astype(np.int32),
-        hair=np.zeros(len(body.vertices), bool),
-        part=part_of(body.skin),
-        body=body.name,
-        body_licence=body.licence,
-        residual=_residual(body.vertices, body.faces, surface),
-        pelvis=(float(pelvis[0]), float(pelvis[1]), float(pelvis[2])),
-    )
+    vertices, joints = ((places - pelvis).astype(np.float32) for places in (body.vertices, body.joints))
+    mesh = replace(body_template(body), vertices=vertices, joints=joints)
+    residual = _residual(body.vertices, body.faces, surface)
+    place = float(pelvis[0]), float(pelvis[1]), float(pelvis[2])
+    return RegisteredTemplate(mesh, body.name, np.zeros(len(vertices), bool), residual, pelvis=place)
+
+
+def _closest_body(joints: Float[np.ndarray, "52 3"] | None, surface: "_Surface") -> Body:
+    """Of the two free bodies, fitted, the one that comes closer to the surface."""
+    return min((_fit_shape(builtin_body(sex), joints, surface) for sex in ("male", "female")), key=lambda fit: fit[1])[
+        0
+    ]
 
 
 def _eyes(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> Float[np.ndarray, "2 4"] | None:
@@ -161,10 +139,6 @@ class _Surface(NamedTuple):
     part: UInt8[np.ndarray, "n"]
 
 
-def _strongest_joint(skin: SkinWeights) -> Int[np.ndarray, "vertices"]:
-    return np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0].astype(np.int64)
-
-
 def _subject_surface(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], *, hair: bool = False) -> _Surface:
     """The surface to fit to; `hair`: as it is seen, else what is labelled hair is left out."""
     shown = visible if hair else visible & ~subject.hair[subject.faces].any(1)
@@ -182,7 +156,7 @@ def _subject_surface(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], 
     return _Surface(
         np.concatenate([samples.on(vertices, faces), hands.on(vertices, hand_faces)]),
         np.concatenate(normals),
-        _strongest_joint(subject.skin)[vertex],
+        subject.skin.heaviest[vertex],
         subject.part[vertex],
     )
 
@@ -318,7 +292,7 @@ def _outer_vertices(
     A face is outside when it is seen from six views or more (the back of a mouth is seen from one or two,
     between the lips); the outer skin is the largest piece of such faces.
     """
-    kept = faces[view_counts(rasteriser, x, faces) >= 6]
+    kept = faces[view_counts(rasteriser, x, faces, enough=6) >= 6]
     edges = np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]]])
     _, piece = connected_components(coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x), len(x))), directed=False)
     return piece == np.bincount(piece[kept[:, 0]]).argmax()
@@ -356,7 +330,7 @@ def _smooth_offsets(
 
     # closest points in position and normal together: a normal turned by 60 degrees costs 3 cm
     reach = 0.03
-    finger = _fingers(_strongest_joint(body.skin))
+    finger = _fingers(body.skin.heaviest)
     sample_finger = _fingers(surface.joint)
     groups = []
     for f in np.unique(finger):

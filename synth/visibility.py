@@ -17,28 +17,24 @@ VIEW_BIAS = 0.002
 def visible_faces(
     rasteriser: Rasteriser, vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> Bool[np.ndarray, "faces"]:
-    """Faces seen from any of VIEWS directions spread over the sphere: those that view_counts counts at least once."""
-    middles, seen = vertices[faces].mean(1).astype(np.float64), np.zeros(len(faces), bool)
-    for camera in outside_cameras(vertices):
-        fragments = rasteriser.draw(vertices, faces, camera)
-        seen[fragments.face[fragments.face >= 0]] = True
-        left = np.flatnonzero(~seen)
-        seen[left] = _on_depth_image(fragments, camera, middles[left])
-    return seen
+    """Faces seen from any of VIEWS directions spread over the sphere."""
+    return view_counts(rasteriser, vertices, faces, enough=1) > 0
 
 
 def view_counts(
-    rasteriser: Rasteriser, vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+    rasteriser: Rasteriser, vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], enough: int
 ) -> Int[np.ndarray, "faces"]:
-    """From how many of VIEWS directions each face is seen.
+    """From how many of VIEWS directions each face is seen; beyond `enough` not all of them are counted.
 
     Seen: drawn in the view's image, or, for faces smaller than a pixel, their middle lies on the depth image.
     """
     middles, count = vertices[faces].mean(1).astype(np.float64), np.zeros(len(faces), np.int64)
     for camera in outside_cameras(vertices):
         fragments = rasteriser.draw(vertices, faces, camera)
-        seen = _on_depth_image(fragments, camera, middles)
+        seen = np.zeros(len(faces), bool)
         seen[fragments.face[fragments.face >= 0]] = True
+        left = np.flatnonzero(~seen & (count < enough))
+        seen[left] = _on_depth_image(fragments, camera, middles[left])
         count += seen
     return count
 
@@ -54,9 +50,7 @@ def outside_cameras(vertices: Float[np.ndarray, "vertices 3"]) -> list[Camera]:
     return [Camera(K, look_at(centre + distance * d, centre), size) for d in fibonacci_sphere(VIEWS)]
 
 
-def _on_depth_image(
-    fragments: Fragments, camera: Camera, points: Float[np.ndarray, "n 3"]
-) -> Bool[np.ndarray, "n"]:
+def _on_depth_image(fragments: Fragments, camera: Camera, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
     """Points that lie on what was drawn, or before it."""
     pixels, depth = project(camera, points)
     x, y = np.clip(pixels.astype(np.int64), 0, VIEW_SIZE - 1).T

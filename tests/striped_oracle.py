@@ -7,7 +7,6 @@ import pytest
 from painted_capture import free_subject
 
 import bench.score.posed_geometry
-import bench.score.quality
 import synth.truth
 import synth.visibility
 from avatar.body import builtin_body
@@ -76,7 +75,15 @@ def oracle_avatar(subject):
         features=None,
     )
     return Avatar(
-        "striped", subject.joints, BIG_POSE, (level,), None, None, 0.6, "off", {"paper_db": 40.0, "network_db": None}
+        "striped",
+        subject.joints,
+        BIG_POSE,
+        (level,),
+        None,
+        None,
+        0.6,
+        "off",
+        {"baked": {"against_field": {"paper_db": 40.0}}},
     )
 
 
@@ -90,7 +97,6 @@ def small_pictures():
         small.setattr(synth.visibility, "VIEW_SIZE", 512)
         samples = {"total": 1500, "head": 500, "left_hand": 400, "right_hand": 400}
         small.setattr(bench.score.posed_geometry, "SAMPLES", samples)
-        small.setattr(bench.score.quality, "SAMPLES", samples)
         yield
 
 

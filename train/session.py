@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from command.errors import AssetError
-from files.whole import check_folder, whole_file
+from files.whole import check_folder, write_json
 
 FILE = "session.json"
 
@@ -131,8 +131,7 @@ def open_session(
         say(f"{partial} holds no checkpoint: nothing to resume, training begins")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
-    with whole_file(partial / FILE, "w") as file:
-        json.dump(settings, file, indent=1)
+    write_json(partial / FILE, settings)
     return Session(out, partial, False)
 
 

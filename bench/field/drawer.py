@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from avatar.camera import Camera
 from avatar.gltf.avatar_file import Avatar, Level, read_avatar
 from bench.field.posed_field import Directions, MaskedPicture, PosableSurface, PosedField, averaged
-from bench.score import metrics
+from bench.score.metrics import rectangle
 from player.draw.raster import Rasteriser
 from player.effects.light import Light
 from player.gl.context import opened
@@ -62,13 +62,21 @@ class Drawer:
         samples: int = 1,
         where: Bool[np.ndarray, "height width"] | None = None,
     ) -> MaskedPicture:
-        """One picture on black; `samples` squared rays for each pixel, averaged. A field is asked for colors only
-        `where` they are looked at."""
-        if self.field is not None and where is not None:
-            pose = axis_angle, root
-            return drawn_where(self.field, self.raster, pose, camera, samples, where, self.directions)
+        """One picture on black; `samples` squared rays for each pixel, averaged. A field is drawn only in the rectangle
+        of `where`, and asked for colors only there."""
         if self.field is not None:
-            return self.field.draw(self.raster, axis_angle, root, camera, samples=samples, directions=self.directions)
+            width, height = camera.size
+            picture = MaskedPicture(np.zeros((height, width, 3), np.float32), np.zeros((height, width), bool))
+            where = np.ones((height, width), bool) if where is None else where
+            box = rectangle(where)
+            if box is not None:
+                rows, columns = box
+                size = columns.stop - columns.start, rows.stop - rows.start
+                part, how = camera.cropped(columns.start, rows.start, size), self.directions
+                picture.color[box], picture.mask[box] = self.field.draw(
+                    self.raster, axis_angle, root, part, samples=samples, directions=how, where=where[box]
+                )
+            return picture
         assert self.avatar is not None
         size = (samples * camera.size[0], samples * camera.size[1])
         if size not in self.renderers:
@@ -81,27 +89,3 @@ class Drawer:
             renderer.release()
         self.raster.release()
         self.context.release()
-
-
-def drawn_where(
-    field: PosedField,
-    raster: Rasteriser,
-    pose: tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]],
-    camera: Camera,
-    samples: int,
-    where: Bool[np.ndarray, "height width"],
-    directions: Directions = "global",
-) -> MaskedPicture:
-    """The field's picture, drawn only in the rectangle of `where`; nothing outside it."""
-    height, width = where.shape
-    whole = MaskedPicture(np.zeros((height, width, 3), np.float32), np.zeros((height, width), bool))
-    rectangle = metrics.rectangle(where)
-    if rectangle is None:
-        return whole
-    rows, columns = rectangle
-    K = camera.K.copy()
-    K[:2, 2] -= columns.start, rows.start
-    part = Camera(K, camera.camera_from_world, (columns.stop - columns.start, rows.stop - rows.start))
-    drawn = field.draw(raster, *pose, part, samples=samples, where=where[rectangle], directions=directions)
-    whole.color[rectangle], whole.mask[rectangle] = drawn.color, drawn.mask
-    return whole

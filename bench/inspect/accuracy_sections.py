@@ -10,9 +10,10 @@ from avatar.baked_avatar import Avatar, Level
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from bench.inspect import mesh_facts
-from bench.inspect.colors import DIVERGING, SEQUENTIAL, Legend, ramp, ticks
+from bench.inspect.colors import DIVERGING, Ramp
 from bench.inspect.inspection import Inspector
 from bench.inspect.page import PageSection, flattened, picture
+from bench.ladder.remeasure import baked_facts, recorded_facts
 from bench.score.surface_distance import check_same_unit
 from bench.score.true_mesh import read_true_mesh
 from command.errors import AssetError
@@ -21,8 +22,7 @@ from geometry.closest import closest_points, triangle_index
 FIELD_MEAN = 0.5  # millimetres
 MOST_BYTES = 12e6
 PAPER_DB = 40.0
-# millimetres, ends of the ramps
-FIELD_RANGE, TRUTH_RANGE = 2.0, 10.0
+FIELD, TRUTH = Ramp(-2.0, 2.0, " mm", DIVERGING), Ramp(0.0, 10.0, " mm")
 
 
 def field_distance(inspector: Inspector) -> PageSection | None:
@@ -38,14 +38,14 @@ def field_distance(inspector: Inspector) -> PageSection | None:
         f"at most {FIELD_MEAN:g} mm",
         mean <= FIELD_MEAN,
     )
-    image = inspector.draw(ramp(signed, -FIELD_RANGE, FIELD_RANGE, DIVERGING))
+    image = inspector.draw(FIELD.colors(signed))
     return PageSection(
         "field",
         "Distance to the field",
-        "Of each triangle's centre and corners the one farthest from the field's surface. Red stands "
-        "outside of it, blue inside.",
+        "Of each triangle's centre and corners the one farthest from the field's surface. Red stands outside of it, "
+        "blue inside.",
         [picture("field", image, f"signed distance, millimetres, largest {np.abs(signed).max():.2f}")],
-        Legend(DIVERGING, ticks(-FIELD_RANGE, FIELD_RANGE, suffix=" mm")),
+        FIELD.legend(),
     )
 
 
@@ -71,24 +71,22 @@ def truth_distance(inspector: Inspector) -> PageSection | None:
         "as small as can be",
         None,
     )
-    image = inspector.draw(ramp(millimetres, 0.0, TRUTH_RANGE))
+    image = inspector.draw(TRUTH.colors(millimetres))
     return PageSection(
         "truth",
         "Distance to the truth",
-        "Each vertex to the nearest point of the subject's own visible surface, both in T-pose. All "
-        "of the mesh counts here, hidden "
-        "folds too; `selfscan eval` scores what can be seen, over the test poses.",
+        "Each vertex to the nearest point of the subject's own visible surface, both in T-pose. All of the mesh counts "
+        "here, hidden folds too; `selfscan eval` scores what can be seen, over the test poses.",
         [picture("truth", image, "P2S, millimetres")],
-        Legend(SEQUENTIAL, ticks(0.0, TRUTH_RANGE, suffix=" mm")),
+        TRUTH.legend(),
         rows,
     )
 
 
 def provenance(inspector: Inspector) -> list[PageSection]:
     """What baking and training wrote into the file."""
-    baked = inspector.avatar.provenance.get("baked", {})
-    against = baked.get("against_field") if isinstance(baked, dict) else None
-    paper = against.get("paper_db") if isinstance(against, dict) else None
+    baked, recorded = baked_facts(inspector.avatar), recorded_facts(inspector.avatar)
+    paper = recorded["against_field"].get("paper_db")
     if isinstance(paper, int | float):
         inspector.check(
             "baked paper mode against the paper field, as baking measured it",

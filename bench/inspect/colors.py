@@ -1,10 +1,12 @@
-"""From numbers to colors, and the legend that says which is which."""
+"""From numbers to colors, and the legend that says which is which; a color is written as #rrggbb."""
 
 import colorsys
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
+from PIL import ImageColor
 
 # ends and stops of a ramp from dark to light, equally far apart to the eye
 SEQUENTIAL = ("#2c1160", "#5b2a86", "#9c3a7c", "#d9545f", "#f68f46", "#fcd43f")
@@ -14,8 +16,7 @@ ABSENT = "#e100e1"  # nothing is known here
 PART_COLORS = ("#8aa6c1", "#e0b354", "#5fae8b", "#c9746d")
 
 
-@dataclass(frozen=True)
-class Legend:
+class Legend(NamedTuple):
     """A ramp with its ticks, or named colors."""
 
     stops: tuple[str, ...] = ()
@@ -23,41 +24,40 @@ class Legend:
     named: tuple[tuple[str, str], ...] = ()  # (color, name)
 
 
-def rgb(color: str) -> Float[np.ndarray, "3"]:
-    """#rrggbb as numbers from 0 to 255."""
-    return np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)], float)
+class Ramp(NamedTuple):
+    """Numbers from low to high as colors along the stops."""
+
+    low: float
+    high: float
+    # behind the numbers of its legend
+    unit: str = ""
+    stops: tuple[str, ...] = SEQUENTIAL
+
+    def colors(self, values: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+        """Beyond the ends the end's own, NaN is ABSENT."""
+        table, known = rgb(self.stops), np.isfinite(values)
+        share = np.clip((np.where(known, values, self.low) - self.low) / (self.high - self.low), 0, 1)
+        place = share * (len(table) - 1)
+        first = np.minimum(place.astype(np.int64), len(table) - 2)
+        part = (place - first)[:, None]
+        out = (1 - part) * table[first] + part * table[first + 1]
+        out[~known] = rgb([ABSENT])
+        return np.round(out).astype(np.uint8)
+
+    def legend(self, *named: tuple[str, str]) -> Legend:
+        """The ramp with five ticks, and other colors with their names."""
+        return Legend(
+            self.stops, tuple(f"{tick:.3g}{self.unit}" for tick in np.linspace(self.low, self.high, 5)), named
+        )
 
 
-def ramp(
-    values: Float[np.ndarray, "n"], low: float, high: float, stops: tuple[str, ...] = SEQUENTIAL
-) -> UInt8[np.ndarray, "n 3"]:
-    """Colors along the stops; beyond the ends the end's own, NaN is ABSENT."""
-    table = np.stack([rgb(stop) for stop in stops])
-    known = np.isfinite(values)
-    place = np.clip((np.where(known, values, low) - low) / (high - low), 0, 1) * (len(stops) - 1)
-    first = np.minimum(place.astype(np.int64), len(stops) - 2)
-    part = (place - first)[:, None]
-    out = (1 - part) * table[first] + part * table[first + 1]
-    out[~known] = rgb(ABSENT)
-    return np.round(out).astype(np.uint8)
+def rgb(colors: Sequence[str]) -> Float[np.ndarray, "n 3"]:
+    """Numbers from 0 to 255."""
+    return np.array([ImageColor.getrgb(color) for color in colors], np.float64)
 
 
-def categorical(count: int) -> UInt8[np.ndarray, "count 3"]:
+def categorical(count: int) -> list[str]:
     """Colors of joints: hues a golden section apart, so that numbers near each other differ much."""
     hues = (np.arange(count) * 0.61803398875) % 1
-    return np.array(
-        [[round(255 * x) for x in colorsys.hsv_to_rgb(h, 0.55 + 0.3 * (i % 2), 0.95)] for i, h in enumerate(hues)],
-        np.uint8,
-    )
-
-
-def part_colors(part: Int[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
-    return np.stack([rgb(color) for color in PART_COLORS]).astype(np.uint8)[part]
-
-
-def ticks(low: float, high: float, count: int = 5, suffix: str = "") -> tuple[str, ...]:
-    return tuple(f"{value:.3g}{suffix}" for value in np.linspace(low, high, count))
-
-
-def hexadecimal(color: UInt8[np.ndarray, "3"]) -> str:
-    return "#" + "".join(f"{int(value):02x}" for value in color)
+    colors = [colorsys.hsv_to_rgb(hue, 0.55 + 0.3 * (i % 2), 0.95) for i, hue in enumerate(hues)]
+    return ["#" + "".join(f"{round(255 * value):02x}" for value in color) for color in colors]

@@ -11,7 +11,7 @@ from bench.inspect import accuracy_sections as accuracy
 from bench.inspect import drawn_sections as drawn
 from bench.inspect import surface_sections as surface
 from bench.inspect.face_section import face
-from bench.inspect.inspection import Inspection, Inspector, KnownDistances
+from bench.inspect.inspection import Inspector, KnownDistances
 from bench.inspect.page import PageSection, page
 from command.errors import missing_package
 from command.progress import plural, progress
@@ -32,7 +32,7 @@ def inspect(
     size: int = 520,
     turns: int = 36,
     context_kind: str = "auto",
-) -> Inspection:
+) -> Inspector:
     """Write the folder; whole or not at all.
 
     Raises:
@@ -69,13 +69,12 @@ def inspect(
         for topic in progress(topics, "topics", len(topics)):
             made = topic()
             found |= {s.key: s for s in (made if isinstance(made, list) else [made]) if s is not None}
-        sections = [found[key] for key in ORDER if key in found]
-        for picture in (picture for section in sections for picture in section.pictures):
+        inspector.sections += [found[key] for key in ORDER if key in found]
+        for picture in (picture for section in inspector.sections for picture in section.pictures):
             (folder / f"{picture.name}.{picture.kind}").write_bytes(picture.data)
-        inspection = Inspection(inspector.checks, sections, inspector.facts)
         lines = [f"{path.name}, {plural(len(avatar.levels), 'level')}, view dependence: {avatar.default_view}"]
         lines += [f"{what}: {place.name}" for what, place in (("run", run), ("capture", capture)) if place is not None]
-        (folder / "inspect.html").write_text(page(avatar.name, lines, inspection.checks, sections), "utf-8")
-        facts = inspection.facts | {"checks": [vars(check) for check in inspection.checks]}
+        (folder / "inspect.html").write_text(page(avatar.name, lines, inspector.checks, inspector.sections), "utf-8")
+        facts = inspector.facts | {"checks": [vars(check) for check in inspector.checks]}
         (folder / "inspect.json").write_text(json.dumps(facts, indent=1, allow_nan=False), "utf-8")
-    return inspection
+    return inspector

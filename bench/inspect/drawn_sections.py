@@ -1,6 +1,6 @@
 """Sections that our own renderer draws: the avatar as it looks, standing, in strained poses, on a turntable."""
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import UInt8
@@ -12,7 +12,6 @@ from avatar.skeleton import JOINTS
 from bench.inspect.inspection import Inspector
 from bench.inspect.page import PagePicture, PageSection, animation, picture
 from bench.inspect.views import InspectView, strip
-from player.gl.context import Context
 from player.scene.framing import extent, facing, fitted_camera, orbit
 from player.scene.motions import motion_for
 from player.scene.renderer import Pose, Renderer
@@ -25,50 +24,59 @@ CHANGE = 8
 
 def looks(inspector: Inspector) -> PageSection:
     """As drawn, in the canonical pose."""
-    plain = strip(standing(inspector.context, inspector.avatar, inspector.views, "off"))
+    plain = strip(standing(inspector, inspector.views, "off"))
     pictures = [picture("look_off", plain, "the paper's colors")]
     mode = inspector.avatar.default_view
     if mode != "off":
-        image = strip(standing(inspector.context, inspector.avatar, inspector.views, mode))
+        image = strip(standing(inspector, inspector.views, mode))
         pictures.append(picture(f"look_{mode}", image, f"with view dependence ({mode})"))
         change = np.clip(128 + CHANGE * (image.astype(float) - plain), 0, 255).astype(np.uint8)
         pictures.append(picture("look_change", change, f"what view dependence adds, {CHANGE} times, on grey"))
     return PageSection(
         "look",
         "As drawn",
-        "The finest level in the pose it is stored in. Look for blur, colors of one part on "
-        "another, a line at neck or "
+        "The finest level in the pose it is stored in. Look for blur, colors of one part on another, a line at neck or "
         "wrists, fingers grown together.",
         pictures,
     )
 
 
 def posed(inspector: Inspector) -> PageSection:
-    """Poses that strain the skin."""
-    pictures = [
-        picture(f"pose_{name.replace(' ', '_')}", image, name, width=380)
-        for name, image in strained(inspector.context, inspector.avatar, max(inspector.size * 3 // 4, 64)).items()
-    ]
+    """Poses that strain the skin, a little from the side."""
+    avatar, side = inspector.avatar, max(inspector.size * 3 // 4, 64)
+    renderer = Renderer(inspector.context, [avatar], (side, side), view="off", background=BACKGROUND)
+    pictures = []
+    for name, (axis_angle, root) in strained_poses(avatar).items():
+        points = extent(avatar, Clip(axis_angle[None], root[None], 30.0))
+        azimuth = facing(axis_angle, avatar.joint_positions.astype(np.float64)) + 0.45
+        image = renderer.draw([(axis_angle, root)], fitted_camera(points, azimuth, (side, side)))[..., :3]
+        pictures.append(picture(f"pose_{name.replace(' ', '_')}", image, name, width=380))
+    renderer.release()
     return PageSection(
         "poses",
         "Posed",
-        "Linear blend skinning in poses that strain it. Look for collapsed elbows and knees, armpits "
-        "that pull the chest "
-        "along, fingers that drag each other.",
+        "Linear blend skinning in poses that strain it. Look for collapsed elbows and knees, armpits that pull the "
+        "chest along, fingers that drag each other.",
         pictures,
     )
 
 
 def turntable(inspector: Inspector, frames: int) -> PageSection:
-    """Once round."""
-    size = (inspector.size * 3 // 4 // 2 * 2, inspector.size)
-    turn = animation(list(turning(inspector.context, inspector.avatar, size, frames)), 6.0)
-    mode = inspector.avatar.default_view
+    """Once round the avatar at ease, as its file asks to be drawn."""
+    avatar, size = inspector.avatar, (inspector.size * 3 // 4 // 2 * 2, inspector.size)
+    clip, mode = motion_for(avatar, "counting").read(0, 1), avatar.default_view
+    camera_at = orbit(extent(avatar, clip, following=True), 0.0, size)
+    renderer = Renderer(inspector.context, [avatar], size, view=mode, background=BACKGROUND)
+    images = []
+    for frame in range(frames):
+        camera = camera_at(frame / frames, clip.root[0])
+        images.append(renderer.draw([(clip.axis_angle[0], clip.root[0])], camera)[..., :3])
+    renderer.release()
     return PageSection(
         "turntable",
         "Turntable",
         f"The avatar at ease, as its file asks to be drawn (view dependence: {mode}).",
-        [PagePicture("turntable", turn, "webp", f"{frames} views, 6 seconds")],
+        [PagePicture("turntable", animation(images, 6.0), "webp", f"{frames} views, 6 seconds")],
     )
 
 
@@ -77,7 +85,7 @@ def levels(inspector: Inspector) -> PageSection:
     pictures, rows = [], [("level", "triangles", "texture", "PSNR against the finest, dB")]
     first = None
     for number, level in enumerate(inspector.avatar.levels):
-        front, _, head, _, hand, _ = standing(inspector.context, inspector.avatar, inspector.views, "off", number)
+        front, _, head, _, hand, _ = standing(inspector, inspector.views, "off", number)
         image = np.hstack([front, np.vstack([head, hand])])
         first = image if first is None else first
         error = float(np.square((image.astype(float) - first) / 255).mean())
@@ -126,44 +134,15 @@ def strained_poses(avatar: Avatar) -> dict[str, Pose]:
 
 
 def standing(
-    context: Context, avatar: Avatar, views: list[InspectView], mode: str, level: int = 0
+    inspector: Inspector, views: Sequence[InspectView], mode: str, level: int = 0
 ) -> list[UInt8[np.ndarray, "_ _ 3"]]:
     """These views in the canonical pose, at one level and view mode."""
+    avatar, pictures = inspector.avatar, {}
     pose = np.asarray(avatar.canonical_pose, np.float64), np.asarray(avatar.joint_positions[0], np.float64)
-    pictures: list[np.ndarray] = []
-    renderer: Renderer | None = None
-    for view in views:
-        if renderer is None or renderer.target is None or renderer.target.size != view.camera.size:
-            if renderer is not None:
-                renderer.release()
-            renderer = Renderer(context, [avatar], view.camera.size, view=mode, level=level, background=BACKGROUND)
-        pictures.append(renderer.draw([pose], view.camera)[..., :3])
-    assert renderer is not None
-    renderer.release()
-    return pictures
-
-
-def strained(context: Context, avatar: Avatar, size: int) -> dict[str, UInt8[np.ndarray, "height width 3"]]:
-    """Each strained pose, a little from the side."""
-    renderer = Renderer(context, [avatar], (size, size), view="off", background=BACKGROUND)
-    pictures = {}
-    for name, (axis_angle, root) in strained_poses(avatar).items():
-        points = extent(avatar, Clip(axis_angle[None], root[None], 30.0))
-        side = facing(axis_angle, avatar.joint_positions.astype(np.float64)) + 0.45
-        camera = fitted_camera(points, side, (size, size))
-        pictures[name] = renderer.draw([(axis_angle, root)], camera)[..., :3]
-    renderer.release()
-    return pictures
-
-
-def turning(
-    context: Context, avatar: Avatar, size: tuple[int, int], frames: int
-) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    """One turn round the avatar at ease, as its file asks to be drawn."""
-    clip = motion_for(avatar, "counting").read(0, 1)
-    camera_at = orbit(extent(avatar, clip, following=True), 0.0, size)
-    renderer = Renderer(context, [avatar], size, view=avatar.default_view, background=BACKGROUND)
-    for frame in range(frames):
-        camera = camera_at(frame / frames, clip.root[0])
-        yield renderer.draw([(clip.axis_angle[0], clip.root[0])], camera)[..., :3]
-    renderer.release()
+    for size in {view.camera.size for view in views}:
+        renderer = Renderer(inspector.context, [avatar], size, view=mode, level=level, background=BACKGROUND)
+        for view in views:
+            if view.camera.size == size:
+                pictures[view.name] = renderer.draw([pose], view.camera)[..., :3]
+        renderer.release()
+    return [pictures[view.name] for view in views]

@@ -38,19 +38,16 @@ class FacePicture(NamedTuple):
 
 def face(inspector: Inspector, capture: Path | None) -> PageSection:
     """Three views of the face, and close-ups beside the truth with the error of head and eye region."""
-    avatar, context = inspector.avatar, inspector.context
-    images = standing(context, avatar, face_views(avatar, SIDE), "off")
+    images = standing(inspector, face_views(inspector.avatar, SIDE), "off")
     pictures = [picture("face", np.hstack(images), "the face, in the paper's colors")]
     rows: list[tuple[str, ...]] = []
     # a capture may know the true mesh and hold no pictures of it
     if capture is not None and (capture / "truth" / "novel_pose").is_dir():
         truth = read_true_mesh(capture)
-        close_ups = beside_truth(context, avatar, truth, read_held_out(capture, "novel_pose"))
+        close_ups = beside_truth(inspector.context, inspector.avatar, truth, read_held_out(capture, "novel_pose"))
         shown = [close_ups[i] for i in np.unique(np.linspace(0, len(close_ups) - 1, SHOWN).astype(int))]
-        pair = np.vstack(
-            [np.hstack([bytes_of(one.truth) for one in shown]), np.hstack([bytes_of(one.drawn) for one in shown])]
-        )
-        pictures.append(picture("face_truth", pair, "above: true pictures; below: the avatar"))
+        pairs = np.hstack([np.vstack([bytes_of(one.truth), bytes_of(one.drawn)]) for one in shown])
+        pictures.append(picture("face_truth", pairs, "above: true pictures; below: the avatar"))
         head = region_db(close_ups, "head")
         eyes = region_db(close_ups, "eyes") if truth.eye is not None else None
         inspector.facts["face"] = {"head_db": head, "eyes_db": eyes, "pictures": len(close_ups)}

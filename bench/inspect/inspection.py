@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int, Real, UInt8
 
-from avatar.baked_avatar import Avatar, Level
+from avatar.baked_avatar import Avatar
+from bench.inspect.mesh_facts import medians_by_part
 from bench.inspect.page import Check, PageSection
 from bench.inspect.views import InspectView, standard_views, strip
 from bench.report.writer import Json
@@ -32,15 +33,6 @@ class KnownDistances:
 
     field: Float[np.ndarray, "faces"] | None  # millimetres, signed, per triangle
     truth: Float[np.ndarray, "vertices"] | None  # millimetres, per vertex
-
-
-@dataclass
-class Inspection:
-    """What the page shows and what the JSON holds."""
-
-    checks: list[Check]
-    sections: list[PageSection]
-    facts: Json
 
 
 class MeshPlotter:
@@ -107,21 +99,28 @@ class MeshPlotter:
 
 
 class Inspector:
-    """One avatar, drawn topic by topic; `size` is the side of the large views in pixels."""
+    """One avatar, drawn topic by topic, and what is found: the page shows checks and sections, the JSON holds facts and
+    checks. `size` is the side of the large views in pixels."""
 
     def __init__(self, avatar: Avatar, path: Path, context: Context, measured: KnownDistances, size: int):
         self.avatar, self.path, self.context, self.measured = avatar, path, context, measured
         self.level, self.size = avatar.levels[0], size
         self.views = standard_views(avatar, size)
         self.studio: MeshPlotter | None = None
-        self.checks: list[Check] = []
+        self.checks, self.sections = list[Check](), list[PageSection]()
         self.facts: Json = {"format": "selfscan-inspection", "version": 1, "avatar": path.name}
 
-    def draw(self, colors: UInt8[np.ndarray, "n 3"], level: Level | None = None, **lines: Any) -> np.ndarray:
-        level = self.level if level is None else level
+    def draw(self, colors: Real[np.ndarray, "n 3"], **lines: Any) -> np.ndarray:
+        """The finest level in these colors, 0 to 255, one a vertex or one a triangle."""
         if self.studio is None:
             self.studio = MeshPlotter(self.views, self.context.kind)
-        return self.studio.draw(level.positions.astype(np.float64), level.faces.astype(np.int64), colors, **lines)
+        points, faces = self.level.positions.astype(np.float64), self.level.faces.astype(np.int64)
+        return self.studio.draw(points, faces, np.round(colors).astype(np.uint8), **lines)
+
+    def medians(self, fact: str, millimetres: Float[np.ndarray, "faces"]) -> dict[str, float | None]:
+        """The median of each part's triangles, by area, which becomes a fact."""
+        by_part = self.facts[fact] = medians_by_part(self.level, millimetres)
+        return by_part
 
     def check(self, what: str, value: str, expected: str, good: bool | None) -> None:
         self.checks.append(Check(what, value, expected, good))

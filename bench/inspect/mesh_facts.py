@@ -10,31 +10,23 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from avatar.baked_avatar import Level
-from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
+from avatar.skeleton import PARTS
 from avatar.texture import mipmaps
 from bake.cone import matrix_from_six
 from bake.texture.seams import chart_edges, seam_steps
+from capture.read.template import part_of
+from geometry.mesh import component_labels, face_areas, half_edges
 
 MIPS = 4
 SAMPLES = 5  # along a seam edge
-
-
-class Welded(NamedTuple):
-    """The surface before the atlas cut it: vertices at one place with one skin are one."""
-
-    # welded vertex of each vertex of the level
-    source: Int[np.ndarray, "vertices"]
-    faces: Int[np.ndarray, "faces 3"]
-    count: int
 
 
 class Seams(NamedTuple):
     """Edges whose two triangles lie in different places of the texture."""
 
     edges: Int[np.ndarray, "edges 2"]  # vertices of the level, on one side
-    step: Float[np.ndarray, "mips edges"]  # largest difference of the two sides' colors along the edge, 0 to 255
-    # a seam's samples, as bake.seams.seam_steps counts them
-    steps: Float[np.ndarray, "mips samples"]
+    # differences of the two sides' colors, 0 to 255, at SAMPLES places along each edge
+    steps: Float[np.ndarray, "mips samples edges"]
 
 
 class Closedness(NamedTuple):
@@ -45,41 +37,15 @@ class Closedness(NamedTuple):
     pieces: int
 
 
-def joint_parts() -> UInt8[np.ndarray, "52"]:
-    """Part of each joint: head, hands (fingers and wrist) and the body."""
-    part = np.zeros(52, np.uint8)
-    part[JOINTS.index("head")] = 1
-    part[LEFT_HAND], part[RIGHT_HAND] = 2, 3
-    part[JOINTS.index("left_wrist")], part[JOINTS.index("right_wrist")] = 2, 3
-    return part
-
-
-def heaviest_joint(level: Level) -> Int[np.ndarray, "vertices"]:
-    """The joint that moves each vertex most."""
-    rows = np.arange(len(level.joints))
-    return level.joints[rows, level.weights.argmax(1)].astype(np.int64)
-
-
-def joint_weight(level: Level, joint: int) -> Float[np.ndarray, "vertices"]:
-    """Weight of one joint at each vertex, 0 to 1."""
-    return (np.where(level.joints == joint, level.weights, 0).sum(1) / 255).astype(np.float64)
-
-
-def vertex_parts(level: Level) -> UInt8[np.ndarray, "vertices"]:
-    """Part of each vertex, by the joint that moves it most."""
-    return joint_parts()[heaviest_joint(level)]
-
-
 def face_parts(level: Level) -> UInt8[np.ndarray, "faces"]:
     """Part of each triangle: what two of its corners say, else the first corner's."""
-    a, b, c = vertex_parts(level)[level.faces].T
+    a, b, c = part_of(level.skin)[level.faces].T
     return np.where(b == c, b, a)
 
 
 def areas(level: Level) -> Float[np.ndarray, "faces"]:
     """Square metres of each triangle."""
-    a, b, c = level.positions.astype(np.float64)[level.faces].transpose(1, 0, 2)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return face_areas(level.positions, level.faces)
 
 
 def edge_millimetres(level: Level) -> Float[np.ndarray, "faces"]:
@@ -107,38 +73,34 @@ def median_by_area(values: Float[np.ndarray, "n"], weight: Float[np.ndarray, "n"
     return float(values[known][order][np.searchsorted(below, 0.5 * below[-1])])
 
 
-def weld(level: Level) -> Welded:
-    """Undo the cuts of the atlas: vertices of equal place, joints and weights were one."""
+def medians_by_part(level: Level, values: Float[np.ndarray, "faces"]) -> dict[str, float | None]:
+    """`median_by_area` of each part's triangles."""
+    part, area = face_parts(level), areas(level)
+    return {name: median_by_area(values, area * (part == k)) for k, name in enumerate(PARTS)}
+
+
+def weld(level: Level) -> Int[np.ndarray, "vertices"]:
+    """The surface before the atlas cut it: the number of each vertex's place and skin, equal where they are."""
     joints = np.where(level.weights > 0, level.joints, 0)
-    keys = np.concatenate(
-        [np.ascontiguousarray(level.positions + np.float32(0)).view(np.uint32), joints, level.weights], axis=1
-    )
-    _, source = np.unique(keys, axis=0, return_inverse=True)
-    source = source.reshape(-1)
-    return Welded(source, source[level.faces.astype(np.int64)], int(source.max()) + 1)
+    places = np.ascontiguousarray(level.positions + np.float32(0)).view(np.uint32)
+    return np.unique(np.concatenate([places, joints, level.weights], 1), axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def closedness(welded: Welded) -> Closedness:
-    """Edges with one triangle, edges with more than two, and connected pieces."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ends = np.sort(np.concatenate([welded.faces[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
-    _, uses = np.unique(ends, axis=0, return_counts=True)
-    graph = coo_array((np.ones(len(ends)), ends.T), shape=(welded.count, welded.count))
-    pieces = connected_components(graph, directed=False)[1][np.unique(welded.faces)]
-    return Closedness(int((uses == 1).sum()), int((uses > 2).sum()), len(np.unique(pieces)))
+def closedness(level: Level) -> Closedness:
+    """Edges with one triangle, edges with more than two, and connected pieces, once welded."""
+    source = weld(level)
+    faces = source[level.faces]
+    _, uses = np.unique(np.sort(half_edges(faces), axis=1), axis=0, return_counts=True)
+    pieces = np.unique(component_labels(faces, int(source.max()) + 1)[faces])
+    return Closedness(int((uses == 1).sum()), int((uses > 2).sum()), len(pieces))
 
 
-def seams(level: Level, welded: Welded) -> Seams:
+def seams(level: Level) -> Seams:
     """Chart edges and the step of color across them, on the texture and its first mipmaps."""
     uv = level.uv.astype(np.float64)
-    edges = chart_edges(uv, level.faces.astype(np.int64), welded.source)
-    steps = []
-    for image in mipmaps(level.base_color, MIPS):
-        steps.append(seam_steps(uv, edges, image, samples=SAMPLES).reshape(SAMPLES, len(edges.left)))
-    table = np.stack(steps)
-    return Seams(edges.left, table.max(1), table.reshape(MIPS, -1))
+    edges = chart_edges(uv, level.faces.astype(np.int64), weld(level))
+    steps = [seam_steps(uv, edges, image, samples=SAMPLES) for image in mipmaps(level.base_color, MIPS)]
+    return Seams(edges.left, np.reshape(steps, (MIPS, SAMPLES, len(edges.left))))
 
 
 def cone_degrees(level: Level) -> Float[np.ndarray, "vertices 2"]:
@@ -153,11 +115,6 @@ def cone_degrees(level: Level) -> Float[np.ndarray, "vertices 2"]:
     values = np.linalg.eigvalsh(across @ q @ across + 1e9 * d[:, :, None] * d[:, None, :])[:, :2]
     reach = level.view_seen[:, None].astype(np.float64) / np.sqrt(1 + np.maximum(values, 0))
     return np.degrees(np.arcsin(np.clip(reach, 0, 1)))
-
-
-def unseen(level: Level) -> Bool[np.ndarray, "vertices"]:
-    """Vertices that no camera looked at in training."""
-    return level.view_seen <= 0
 
 
 def share_of_area(level: Level, chosen: Bool[np.ndarray, "vertices"]) -> float:

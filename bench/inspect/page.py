@@ -1,9 +1,10 @@
 """One HTML page with everything in it: pictures, legends, tables; no script, no other file."""
 
 import base64
-import html
 import io
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, field
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from bench.inspect.colors import Legend
+from files.picture import encode_png
 
 STYLE = """
 :root { --ink: #22262b; --soft: #687078; --line: #dcdcd8; --paper: #fbfbfa; --card: #f6f6f4; --good: #2a7d4f;
@@ -26,16 +28,14 @@ figure { margin: 10px 0 16px } figcaption { color: var(--soft); font-size: 13px;
 .row { display: flex; flex-wrap: wrap; gap: 14px; align-items: flex-start } .row figure { margin: 0 }
 table { border-collapse: collapse; margin: 8px 0 16px; font-variant-numeric: tabular-nums }
 th, td { text-align: left; padding: 4px 14px 4px 0; border-bottom: 1px solid var(--line); vertical-align: top }
-th { font-weight: 600 } td.good { color: var(--good) } td.look { color: var(--look); font-weight: 600 }
-td.value { overflow-wrap: anywhere; max-width: 70ch }
+th { font-weight: 600 } .good td:last-child { color: var(--good) }
+.look td:last-child { color: var(--look); font-weight: 600 } .values td { overflow-wrap: anywhere; max-width: 70ch }
 .legend { max-width: 560px; margin: 6px 0 10px } .bar { height: 14px; border: 1px solid var(--line) }
 .ticks { display: flex; justify-content: space-between; font-size: 12.5px; color: var(--soft) }
 .named { display: flex; flex-wrap: wrap; gap: 4px 14px; font-size: 13px } .named i { display: inline-block;
- width: 12px; height: 12px;
- margin-right: 5px; border: 1px solid var(--line); vertical-align: -1px }
-@media (prefers-color-scheme: dark) { :root { --ink: #e3e5e7; --soft: #9aa2aa; --line: #3a3f45; --paper:
- #1b1e22; --card: #25292e;
- --good: #6cc494; --look: #f0a050 } nav a { color: #83b4ea } }
+ width: 12px; height: 12px; margin-right: 5px; border: 1px solid var(--line); vertical-align: -1px }
+@media (prefers-color-scheme: dark) { :root { --ink: #e3e5e7; --soft: #9aa2aa; --line: #3a3f45; --paper: #1b1e22;
+ --card: #25292e; --good: #6cc494; --look: #f0a050 } nav a { color: #83b4ea } }
 """
 
 
@@ -79,14 +79,7 @@ def picture(
     name: str, image: UInt8[np.ndarray, "height width 3"], caption: str, width: int | None = None
 ) -> PagePicture:
     """A picture of the page as PNG."""
-    return PagePicture(name, png(image), "png", caption, width)
-
-
-def png(image: UInt8[np.ndarray, "height width 3"]) -> bytes:
-    """Encoded losslessly."""
-    out = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(out, "PNG", compress_level=6)
-    return out.getvalue()
+    return PagePicture(name, encode_png(np.ascontiguousarray(image)), "png", caption, width)
 
 
 def animation(frames: list[UInt8[np.ndarray, "height width 3"]], seconds: float) -> bytes:
@@ -101,63 +94,51 @@ def animation(frames: list[UInt8[np.ndarray, "height width 3"]], seconds: float)
 
 def page(name: str, lines: list[str], checks: list[Check], sections: list[PageSection]) -> str:
     """The page as text."""
+    marks = {True: "good", False: "look", None: ""}
+    verdict = [("What", "Here", "Expected", ""), *((*astuple(check)[:3], marks[check.good]) for check in checks)]
     parts = [
         '<!doctype html><html lang="en"><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{_text(name)}: inspection</title><style>{STYLE}</style><main>",
-        f"<h1>{_text(name)}</h1>",
-        *(f'<p class="soft">{_text(line)}</p>' for line in lines),
-        "<nav>" + "".join(f'<a href="#{s.key}">{_text(s.title)}</a>' for s in sections) + "</nav>",
-        _checks(checks),
+        f"<title>{escape(name)}: inspection</title><style>{STYLE}</style><main>",
+        f"<h1>{escape(name)}</h1>",
+        *(f'<p class="soft">{escape(line)}</p>' for line in lines),
+        "<nav>" + "".join(f'<a href="#{s.key}">{escape(s.title)}</a>' for s in sections) + "</nav>",
+        _table(verdict, "verdict"),
     ]
     for section in sections:
-        parts.append(f'<section id="{section.key}"><h2>{_text(section.title)}</h2><p>{_text(section.text)}</p>')
+        parts.append(f'<section id="{section.key}"><h2>{escape(section.title)}</h2><p>{escape(section.text)}</p>')
         if section.legend is not None:
             parts.append(_legend(section.legend))
         figures = "".join(_figure(picture) for picture in section.pictures)
         parts.append(f'<div class="row">{figures}</div>' if len(section.pictures) > 1 else figures)
-        parts.append(_table(section.rows) + "</section>")
+        parts.append((_table(section.rows, "values") if section.rows else "") + "</section>")
     return "\n".join(parts) + "</main></html>\n"
-
-
-def _text(value: object) -> str:
-    return html.escape(str(value))
-
-
-def _checks(checks: list[Check]) -> str:
-    rows = ["<tr><th>What</th><th>Here</th><th>Expected</th><th></th></tr>"]
-    for check in checks:
-        mark = {True: '<td class="good">good</td>', False: '<td class="look">look</td>', None: "<td></td>"}[check.good]
-        cells = "".join(f"<td>{_text(cell)}</td>" for cell in (check.what, check.value, check.expected))
-        rows.append(f"<tr>{cells}{mark}</tr>")
-    return f"<table>{''.join(rows)}</table>"
 
 
 def _figure(picture: PagePicture) -> str:
     source = f"data:image/{picture.kind};base64,{base64.b64encode(picture.data).decode()}"
     width = f' style="width:{picture.width}px"' if picture.width else ""
-    caption = _text(picture.caption)
+    caption = escape(picture.caption)
     return f'<figure><img src="{source}" alt="{caption}"{width}><figcaption>{caption}</figcaption></figure>'
 
 
 def _legend(legend: Legend) -> str:
     out = ""
     if legend.stops:
-        ticks = "".join(f"<span>{_text(tick)}</span>" for tick in legend.ticks)
+        ticks = "".join(f"<span>{escape(tick)}</span>" for tick in legend.ticks)
         out += f'<div class="bar" style="background:linear-gradient(90deg,{",".join(legend.stops)})"></div>'
         out += f'<div class="ticks">{ticks}</div>'
-    named = "".join(f'<span><i style="background:{color}"></i>{_text(name)}</span>' for color, name in legend.named)
+    named = "".join(f'<span><i style="background:{color}"></i>{escape(name)}</span>' for color, name in legend.named)
     return f'<div class="legend">{out}<div class="named">{named}</div></div>'
 
 
-def _table(rows: list[tuple[str, ...]]) -> str:
-    if not rows:
-        return ""
-    head = "".join(f"<th>{_text(cell)}</th>" for cell in rows[0])
-    body = "".join(
-        "<tr>" + "".join(f'<td class="value">{_text(cell)}</td>' for cell in row) + "</tr>" for row in rows[1:]
-    )
-    return f"<table><tr>{head}</tr>{body}</table>"
+def _table(rows: Sequence[Sequence[str]], kind: str) -> str:
+    """A table under its head; the last cell of a row of the verdict is its mark."""
+    lines = []
+    for tag, row in zip(["th", *["td"] * (len(rows) - 1)], rows, strict=True):
+        mark = f' class="{row[-1]}"' if kind == "verdict" else ""
+        lines.append(f"<tr{mark}>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row) + "</tr>")
+    return f'<table class="{kind}">{"".join(lines)}</table>'
 
 
 def flattened(tree: Any, prefix: str = "") -> list[tuple[str, str]]:

@@ -1,38 +1,32 @@
 """Sections on the surface that the file holds: parts, weights, texels, seams, cones, triangles."""
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from avatar.skeleton import JOINTS, PARTS
+from avatar.skinning import dense_weights
 from avatar.texture import mip_levels
 from bench.inspect import mesh_facts
-from bench.inspect.colors import (
-    ABSENT,
-    PALE,
-    PART_COLORS,
-    SEQUENTIAL,
-    Legend,
-    categorical,
-    hexadecimal,
-    part_colors,
-    ramp,
-    ticks,
-)
+from bench.inspect.colors import ABSENT, PALE, PART_COLORS, SEQUENTIAL, Legend, Ramp, categorical, rgb
 from bench.inspect.inspection import GREY, Inspector
-from bench.inspect.mesh_facts import MIPS, median_by_area
+from bench.inspect.mesh_facts import MIPS
 from bench.inspect.page import PagePicture, PageSection, picture
+from capture.read.template import part_of
+from geometry.mesh import half_edges
 
 SEAM_MEDIAN, SEAM_P99 = 1.0, 4.0  # bytes
-SEAM_RANGE = 8.0  # bytes
-CONE_RANGE = 60.0  # degrees
+SEAMS = Ramp(0.0, 8.0, "/255")
+CONES = Ramp(0.0, 60.0, "°")
+SHARES = Ramp(0.0, 1.0)
 ATLAS = 820  # pixels
 
 
 def parts(inspector: Inspector) -> PageSection:
     """Body, head and hands."""
-    part = mesh_facts.vertex_parts(inspector.level)
+    part = part_of(inspector.level.skin)
     share = {name: mesh_facts.share_of_area(inspector.level, part == k) for k, name in enumerate(PARTS)}
     inspector.facts["area_share_by_part"] = share
-    image = inspector.draw(part_colors(part.astype(np.int64)))
+    image = inspector.draw(rgb(PART_COLORS)[part])
     named = tuple((color, f"{name} ({share[name]:.0%})") for color, name in zip(PART_COLORS, PARTS, strict=True))
     return PageSection(
         "parts",
@@ -45,63 +39,57 @@ def parts(inspector: Inspector) -> PageSection:
 
 def weights(inspector: Inspector, joints: list[str]) -> PageSection:
     """Skin weights: the heaviest joint, and single joints."""
-    palette = categorical(52).astype(np.float64)
-    share = inspector.level.skin.weights
-    blended = np.einsum("vi,vic->vc", share, palette[inspector.level.joints])
-    pictures = [
-        picture("weights", inspector.draw(np.round(blended).astype(np.uint8)), "joints' colors blended by weight")
-    ]
+    skin, palette = inspector.level.skin, categorical(52)
+    dense = dense_weights(skin)
+    pictures = [picture("weights", inspector.draw(dense @ rgb(palette)), "joints' colors blended by weight")]
     for name in joints:
-        values = mesh_facts.joint_weight(inspector.level, JOINTS.index(name))
-        image = inspector.draw(ramp(values, 0.0, 1.0))
+        image = inspector.draw(SHARES.colors(dense[:, JOINTS.index(name)]))
         pictures.append(picture(f"weight_{name}", image, f"{name}: weight 0 (dark) to 1 (bright)"))
-    used = np.unique(mesh_facts.heaviest_joint(inspector.level))
+    used = np.unique(skin.heaviest)
     absent = [JOINTS[k] for k in range(52) if k not in used]
     inspector.facts["joints_that_move_nothing_most"] = absent
-    named = tuple((hexadecimal(categorical(52)[k]), JOINTS[k]) for k in used)
     return PageSection(
         "weights",
         "Skin weights",
-        "Soft borders run round a limb, never along it; left and right, and neighbouring fingers, do "
-        "not exchange colors." + (f" No vertex is moved most by: {', '.join(absent)}." if absent else ""),
+        "Soft borders run round a limb, never along it; left and right, and neighbouring fingers, do not exchange "
+        "colors." + (f" No vertex is moved most by: {', '.join(absent)}." if absent else ""),
         pictures,
-        Legend(named=named),
+        Legend(named=tuple((palette[k], JOINTS[k]) for k in used)),
     )
 
 
 def texels(inspector: Inspector) -> PageSection:
     """How fine the texture is where."""
     millimetres = mesh_facts.texel_millimetres(inspector.level)
-    part, area = mesh_facts.face_parts(inspector.level), mesh_facts.areas(inspector.level)
-    by_part = {name: median_by_area(millimetres, area * (part == k)) for k, name in enumerate(PARTS)}
-    inspector.facts["texel_mm_by_part"] = by_part
+    by_part = inspector.medians("texel_mm_by_part", millimetres)
     if by_part["body"] and by_part["head"]:
         ratio = by_part["body"] / by_part["head"]
         inspector.check("texels of the head, against the body", f"{ratio:.1f} times as dense", "2 to 3", ratio > 1.9)
-    high = 2.0 * max([value for value in by_part.values() if value] or [1.0])
-    image = inspector.draw(ramp(millimetres, 0.0, high))
+    ramp = lengths_ramp(by_part)
+    image = inspector.draw(ramp.colors(millimetres))
     rows = [("part", "median side of a texel, mm")]
     rows += [(name, f"{value:.2f}" if value else "none") for name, value in by_part.items()]
     return PageSection(
         "texels",
         "Texel density",
-        "Side of a texel on the surface. Head and hands should be darker (finer); a bright patch is "
-        "stretched in the atlas.",
+        "Side of a texel on the surface. Head and hands should be darker (finer); a bright patch is stretched in the "
+        "atlas.",
         [picture("texels", image, "side of a texel, millimetres"), _atlas(inspector)],
-        Legend(SEQUENTIAL, ticks(0.0, high, suffix=" mm"), ((ABSENT, "no texels"),)),
+        ramp.legend((ABSENT, "no texels")),
         rows,
     )
 
 
+def lengths_ramp(by_part: dict[str, float | None], stops: tuple[str, ...] = SEQUENTIAL) -> Ramp:
+    """Up to twice the longest of the parts' medians, millimetres."""
+    return Ramp(0.0, 2.0 * max([value for value in by_part.values() if value] or [1.0]), " mm", stops)
+
+
 def _atlas(inspector: Inspector) -> PagePicture:
     """The base color with the edges of its charts."""
-    from PIL import Image, ImageDraw
-
     image = Image.fromarray(inspector.level.base_color).resize((ATLAS, ATLAS), Image.Resampling.LANCZOS)
     draw = ImageDraw.Draw(image)
-    faces = inspector.level.faces.astype(np.int64)
-    ends = np.sort(np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
-    border, uses = np.unique(ends, axis=0, return_counts=True)
+    border, uses = np.unique(np.sort(half_edges(inspector.level.faces), axis=1), axis=0, return_counts=True)
     for a, b in ATLAS * inspector.level.uv.astype(np.float64)[border[uses == 1]]:
         draw.line([tuple(a), tuple(b)], fill=(255, 0, 170), width=1)
     return picture("atlas", np.asarray(image), "base color, chart edges in pink", width=620)
@@ -109,12 +97,9 @@ def _atlas(inspector: Inspector) -> PagePicture:
 
 def seams(inspector: Inspector) -> PageSection:
     """Steps of color across chart edges."""
-    rows = [("level", "mip", "drawn by us", "median", "p99", "largest", "edges")]
-    found = []
-    shown = None
-    for number, level in enumerate(inspector.avatar.levels):
-        seam = mesh_facts.seams(level, mesh_facts.weld(level))
-        shown = seam if number == 0 else shown
+    rows, found = [("level", "mip", "drawn by us", "median", "p99", "largest", "edges")], []
+    levels = [(level, mesh_facts.seams(level)) for level in inspector.avatar.levels]
+    for number, (level, seam) in enumerate(levels):
         for mip, steps in enumerate(seam.steps if len(seam.edges) else []):
             median, p99 = (float(value) for value in np.quantile(steps, [0.5, 0.99]))
             drawn, most = mip < mip_levels(level.base_color.shape), float(steps.max())
@@ -130,13 +115,12 @@ def seams(inspector: Inspector) -> PageSection:
             f"median at most {SEAM_MEDIAN:g}, p99 at most {SEAM_P99:g}",
             median <= SEAM_MEDIAN and p99 <= SEAM_P99,
         )
-    assert shown is not None
-    pictures = []
+    pictures, shown = [], levels[0][1]
     for mip in (0, MIPS - 1):
         image = inspector.draw(
-            np.tile(np.array(GREY, np.uint8), (len(inspector.level.positions), 1)),
+            np.tile(np.array(GREY, np.float64), (len(inspector.level.positions), 1)),
             lines=shown.edges,
-            line_colors=ramp(shown.step[mip], 0.0, SEAM_RANGE),
+            line_colors=SEAMS.colors(shown.steps[mip].max(0)),
             normals=inspector.level.normals.astype(np.float64),
         )
         near = "seen from near (mip 0)" if mip == 0 else f"seen from {2**mip} times as far (mip {mip})"
@@ -144,73 +128,72 @@ def seams(inspector: Inspector) -> PageSection:
     return PageSection(
         "seams",
         "Chart seams",
-        "Edges where the atlas was cut, colored by the largest difference of color between the two "
-        "sides (of 255). Where it is "
-        "bright a line may be seen; it should not gather on the face, the neck or the wrists. Our "
-        "player stops at the mips that the atlas' "
-        "gutters keep apart; other viewers go on to coarser ones.",
+        "Edges where the atlas was cut, colored by the largest difference of color between the two sides (of 255). "
+        "Where it is bright a line may be seen; it should not gather on the face, the neck or the wrists. Our player "
+        "stops at the mips that the atlas' gutters keep apart; other viewers go on to coarser ones.",
         pictures,
-        Legend(SEQUENTIAL, ticks(0.0, SEAM_RANGE, suffix="/255")),
+        SEAMS.legend(),
         rows,
     )
 
 
 def cones(inspector: Inspector) -> PageSection:
     """What training saw, and from how many sides."""
-    degrees, never = mesh_facts.cone_degrees(inspector.level).mean(1), mesh_facts.unseen(inspector.level)
-    seen = inspector.level.view_seen.astype(np.float64)
+    degrees, seen = mesh_facts.cone_degrees(inspector.level).mean(1), inspector.level.view_seen.astype(np.float64)
+    # no camera looked at these in training
+    never = seen <= 0
     share = mesh_facts.share_of_area(inspector.level, ~never)
     inspector.facts |= {
         "seen_area_share": share,
         "cone_degrees_median": float(np.median(degrees[~never])) if (~never).any() else None,
     }
     inspector.check("surface that a camera saw in training", f"{share:.1%}", "the rest keeps the paper's color", None)
-    cone = inspector.draw(ramp(np.where(never, np.nan, degrees), 0.0, CONE_RANGE))
-    sight = inspector.draw(ramp(np.where(never, np.nan, seen), 0.0, 1.0))
+    cone = inspector.draw(CONES.colors(np.where(never, np.nan, degrees)))
+    sight = inspector.draw(SHARES.colors(np.where(never, np.nan, seen)))
     return PageSection(
         "cones",
         "Cones and unseen regions",
-        "How far color may follow the eye: the half-angle of directions that training saw, mean of "
-        "widest and narrowest, times how "
-        "well the point was seen. Pink was never seen: armpits, between fingers, soles. Its color "
+        "How far color may follow the eye: the half-angle of directions that training saw, mean of widest and "
+        "narrowest, times how well the point was seen. Pink was never seen: armpits, between fingers, soles. Its color "
         "is the field's guess.",
         [
-            picture("cones", cone, f"half-angle of the cone, degrees, 0 to {CONE_RANGE:g}"),
+            picture("cones", cone, f"half-angle of the cone, degrees, 0 to {CONES.high:g}"),
             picture("seen", sight, "how well a point was seen, 0 (dark) to 1 (bright)"),
         ],
-        Legend(SEQUENTIAL, ticks(0.0, CONE_RANGE, suffix="°"), ((ABSENT, "never seen"),)),
+        CONES.legend((ABSENT, "never seen")),
     )
 
 
 def triangles(inspector: Inspector) -> PageSection:
     """Sizes of triangles, and whether the mesh is closed."""
     millimetres = mesh_facts.edge_millimetres(inspector.level)
-    part, area = mesh_facts.face_parts(inspector.level), mesh_facts.areas(inspector.level)
     head = ("level", "triangles", "vertices", "texture", "open edges", "edges of more than two", "pieces")
     rows: list[tuple[str, ...]] = [head]
-    found, good = [], True
+    found = []
     for number, level in enumerate(inspector.avatar.levels):
-        closed = mesh_facts.closedness(mesh_facts.weld(level))
-        good &= closed.open_edges == 0 and closed.crowded_edges == 0
+        closed = mesh_facts.closedness(level)
         height, width = level.base_color.shape[:2]
         faces, vertices = len(level.faces), len(level.positions)
         found.append({"faces": faces, "vertices": vertices, "texture": [width, height], **closed._asdict()})
         rows.append((str(number), str(faces), str(vertices), f"{width} x {height}", *map(str, closed)))
     inspector.facts["levels"] = found
-    holes = ", ".join(f"{f['open_edges']} and {f['crowded_edges']}" for f in found)
-    inspector.check("open edges, and edges of more than two triangles, level by level", holes, "0 and 0", good)
-    by_part = {name: median_by_area(millimetres, area * (part == k)) for k, name in enumerate(PARTS)}
-    inspector.facts["edge_mm_by_part"] = by_part
-    high = 2.0 * max([value for value in by_part.values() if value] or [1.0])
-    image = inspector.draw(ramp(millimetres, 0.0, high, PALE), wire=True)
+    holes = [(one["open_edges"], one["crowded_edges"]) for one in found]
+    inspector.check(
+        "open edges, and edges of more than two triangles, level by level",
+        ", ".join(f"{open_edges} and {crowded}" for open_edges, crowded in holes),
+        "0 and 0",
+        not np.any(holes),
+    )
+    by_part = inspector.medians("edge_mm_by_part", millimetres)
+    ramp = lengths_ramp(by_part, PALE)
+    image = inspector.draw(ramp.colors(millimetres), wire=True)
     text = ", ".join(f"{name} {value:.1f} mm" for name, value in by_part.items() if value)
     return PageSection(
         "triangles",
         "Triangles",
-        f"Mean length of a triangle's edges (median: {text}); the close views show the edges. Slivers "
-        "and sudden changes of size "
-        "come out as lines in the light.",
+        f"Mean length of a triangle's edges (median: {text}); the close views show the edges. Slivers and sudden "
+        "changes of size come out as lines in the light.",
         [picture("triangles", image, "edge length, millimetres")],
-        Legend(PALE, ticks(0.0, high, suffix=" mm")),
+        ramp.legend(),
         rows,
     )

@@ -5,7 +5,6 @@ neighbours, so that a slow stretch of a shared machine falls on both. `cpu_times
 all threads together: of a software rasteriser it holds on a busy machine too. Nothing is read back.
 """
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,12 +15,11 @@ from PIL import Image
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.motion.clip import Motion
-from bench.ladder.machine import machine
-from bench.ladder.quiet import Quiet, warning
+from bench.ladder.machine import Quiet, times_of
 from bench.report.contact import save_sheet, sheet
-from bench.report.writer import Json, markdown_table, write_json, write_text
+from bench.report.writer import Json, markdown_table
 from command.settings import settings_of
-from files.whole import whole_folder
+from files.whole import whole_folder, write_json, write_text
 from player.draw.plan import PassState
 from player.effects.ground import Ground
 from player.effects.light import Light
@@ -100,16 +98,16 @@ class Drawn:
 
     def ms(self, frame: int) -> tuple[float, float]:
         """Of posing and drawing a frame, without reading it back: passed, and spent by processors."""
-        gl, target = self.renderer.context.gl, self.renderer.target
+        target = self.renderer.target
         assert target is not None
-        gl.finish()
-        start, spent = time.perf_counter(), time.process_time()
-        views = self.views(frame)
-        self.move(frame)
-        for poses, camera in views:
-            self.renderer.draw_into(target, poses, camera)
-        gl.finish()
-        return 1e3 * (time.perf_counter() - start), 1e3 * (time.process_time() - spent)
+
+        def draw() -> None:
+            views = self.views(frame)
+            self.move(frame)
+            for poses, camera in views:
+                self.renderer.draw_into(target, poses, camera)
+
+        return times_of(self.renderer.context, draw)
 
     def move(self, frame: int) -> None:
         """Loose parts go on by one frame of 60 a second, to the pose that is drawn."""
@@ -160,13 +158,11 @@ def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[in
                 finally:
                     drawn.renderer.release()
         bare.renderer.release()
-        facts = machine(context.renderer, context.kind)
     finally:
         context.release()
     result = {
         "format": "selfscan-bench-effects",
-        "machine": facts | {"others_cpu_share": quiet.others},
-        "warning": warning(quiet.others, facts["load_average"]),
+        **quiet.facts(context),
         "avatar": avatar.name,
         "triangles": len(avatar.levels[0].faces),
         "size": list(size),

@@ -23,7 +23,7 @@ def remeasured(avatar: Avatar, run: BakeSource, held_out: dict[str, list[HeldOut
     """`said`: what the file holds; `found`: the same measured now; `on_held_out`: on pictures of the capture.
 
     A file whose textures are from the videos was compared with the field before it got them: what is found against
-    the field is then how much they changed, and is no difference from what the file says.
+    the field is then how much they changed.
     """
     field = numpy_field(run.field)
     surface = field_surface(run, run_surface(run.surface, len(run.subject.joints)), field)
@@ -33,15 +33,16 @@ def remeasured(avatar: Avatar, run: BakeSource, held_out: dict[str, list[HeldOut
         "against_field": score_json(measure.compare(avatar, surface, views)),
         "levels": [level_facts_again(level, surface, run) for level in avatar.levels],
     }
-    videos = textures_from_videos(avatar)
-    compared = {key: value for key, value in found.items() if not (videos and key == "against_field")}
-    out: Json = {
-        "texture_from": "videos" if videos else "field",
-        "said": said,
-        "found": found,
-        "differences": differences(said, compared),
-    }
-    pictures = [scored_view(view, name) for name, group in held_out.items() for view in group]
+    # solved against the videos, or read from the field
+    texture_from = "videos" if baked_facts(avatar).get("texture_from") == "videos" else "field"
+    out: Json = {"texture_from": texture_from, "said": said, "found": found}
+    pictures = [
+        measure.ScoredView(
+            f"{view.view} of {name.replace('_', ' ')} {view.pose_index}", view.axis_angle, view.root, view.camera, name
+        )
+        for name, views in held_out.items()
+        for view in views
+    ]
     if pictures:
         score = measure.compare(avatar, surface, pictures)
         worst = min(score.per_view, key=lambda name: score.per_view[name])
@@ -54,27 +55,20 @@ def remeasured(avatar: Avatar, run: BakeSource, held_out: dict[str, list[HeldOut
     return out
 
 
+def baked_facts(avatar: Avatar) -> Json:
+    """What baking wrote into the file; empty where it did not."""
+    baked = avatar.provenance.get("baked")
+    return baked if isinstance(baked, dict) else {}
+
+
 def recorded_facts(avatar: Avatar) -> Json:
     """The part of a bake's provenance that is measured again; empty where the file does not say."""
-    baked = avatar.provenance.get("baked")
-    baked = baked if isinstance(baked, dict) else {}
+    baked = baked_facts(avatar)
     against, levels = baked.get("against_field"), baked.get("levels")
     return {
         "against_field": against if isinstance(against, dict) else {},
         "levels": [level for level in levels if isinstance(level, dict)] if isinstance(levels, list) else [],
     }
-
-
-def textures_from_videos(avatar: Avatar) -> bool:
-    """Whether the file's textures were solved against the videos, rather than read from the field."""
-    baked = avatar.provenance.get("baked")
-    return isinstance(baked, dict) and baked.get("texture_from") == "videos"
-
-
-def scored_view(view: HeldOutView, group: str) -> measure.ScoredView:
-    """A held-out picture's pose and camera."""
-    name = f"{view.view} of {group.replace('_', ' ')} {view.pose_index}"
-    return measure.ScoredView(name, view.axis_angle, view.root, view.camera, group)
 
 
 def level_facts_again(level: Level, surface: measure.FieldSurface, run: BakeSource) -> Json:
@@ -93,21 +87,3 @@ def parts_of_faces(
     """Part of each face: of the run's vertex nearest to its middle."""
     _, nearest = KDTree(origin.vertices).query(mesh.vertices[mesh.faces].mean(1))
     return part[nearest]
-
-
-def differences(said: Json, found: Json) -> dict[str, float]:
-    """How far each number that was measured again lies from the one in the file, by its place."""
-    out: dict[str, float] = {}
-
-    def walk(one: object, other: object, place: str) -> None:
-        if isinstance(one, dict) and isinstance(other, dict):
-            for key in one.keys() & other.keys():
-                walk(one[key], other[key], f"{place}.{key}".lstrip("."))
-        elif isinstance(one, list) and isinstance(other, list):
-            for number, pair in enumerate(zip(one, other)):
-                walk(*pair, f"{place}[{number}]")
-        elif isinstance(one, (int, float)) and isinstance(other, (int, float)):
-            out[place] = round(float(other - one), 4)
-
-    walk(said, found, "")
-    return dict(sorted(out.items()))

@@ -8,13 +8,12 @@ from scipy.stats import binom
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, project
-from avatar.skeleton import skin_transforms
+from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from bench.report.writer import Json
 from bench.score.metrics import RUNG_METRICS, ComparedPicture, ImageScores, grown, pooled_score, rectangle
+from capture.read.template import part_of
 
-# joints: the head, wrists and fingers
-PARTS = {"head": (15,), "hand_left": (20, *range(22, 37)), "hand_right": (21, *range(37, 52))}
 # pixels round a part that what it does to its edge can reach
 MARGIN = 3
 # pixels; of a smaller part no score can be given
@@ -32,15 +31,15 @@ def crop_of(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice]:
 def part_boxes(
     avatar: Avatar, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera
 ) -> dict[str, tuple[slice, slice]]:
-    """Rows and columns of each part that is in the picture."""
+    """Rows and columns of head and hands where they are in the picture."""
     level = avatar.levels[0]
     bones = skin_transforms(axis_angle, avatar.joint_positions, root, rest=avatar.canonical_pose)
     pixels, depth = project(camera, skin_points(level.positions, level.skin, bones).astype(np.float64))
-    heaviest = np.take_along_axis(level.joints, level.weights.argmax(1)[:, None], 1)[:, 0]
+    part = part_of(level.skin)
     width, height = camera.size
     boxes = {}
-    for name, joints in PARTS.items():
-        points = pixels[np.isin(heaviest, joints) & (depth > 0)]
+    for name in PARTS[1:]:
+        points = pixels[(part == PARTS.index(name)) & (depth > 0)]
         if not len(points):
             continue
         left, top = np.clip(points.min(0) - MARGIN, 0, (width, height)).astype(int)

@@ -1,7 +1,6 @@
-"""Contact sheets: truth | field | baked of one person in novel poses with close-ups, and the frames of a film.
+"""Contact sheets: truth | field | baked of one person in novel poses with close-ups.
 
 python -m bench.report.contact RUN AVATAR CAPTURE -o contact.png
-python -m bench.report.contact --film avatar.mp4 -o film.png
 """
 
 import argparse
@@ -10,14 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from avatar.texture import bytes_of
 from bench.field.drawer import Drawer
+from bench.score.metrics import rectangle
 from capture.held_out import HeldOutView, read_capture_facts, read_held_out
-from command.progress import plural
-from files.input_file import open_film
 from files.whole import whole_file
 
 WIDTH = 1600  # pixels of a sheet
@@ -50,7 +47,8 @@ def contact_sheet(run: Path | None, avatar: Path | None, capture: Path, out: Pat
             for view in spread_poses(views, kind, count):
                 tiles = [view.image()]
                 tiles += [d.draw(view.axis_angle, view.root, view.camera, SAMPLES).color for d in drawers.values()]
-                rows.append(cropped(tiles, square_about(view.mask() if kind == "body" else view.parts() > 0, kind)))
+                where = square_about(view)
+                rows.append([bytes_of(tile[where]) for tile in tiles])
                 names = ["truth", *drawers]
                 titles.append([f"{VIEW_TITLE[kind]} {name}, pose {view.pose_index}".strip() for name in names])
         heading = f"{facts.get('subject', capture.name)}, {facts.get('light', '?')} light, novel poses"
@@ -60,22 +58,17 @@ def contact_sheet(run: Path | None, avatar: Path | None, capture: Path, out: Pat
             drawer.release()
 
 
-def square_about(mask: np.ndarray, kind: str) -> tuple[slice, slice]:
+def square_about(view: HeldOutView) -> tuple[slice, slice]:
     """The whole close-up; of a body view the square round the person, a little wider."""
-    height, width = mask.shape
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if kind != "body" or len(rows) == 0:
+    width, height = view.camera.size
+    where = rectangle(view.mask()) if view.view == "body" else None
+    if where is None:
         return slice(0, height), slice(0, width)
-    side = min(int(1.06 * max(np.ptp(rows), np.ptp(columns))) + 4, height, width)
-    top = int(np.clip((rows[0] + rows[-1] - side) // 2, 0, height - side))
-    left = int(np.clip((columns[0] + columns[-1] - side) // 2, 0, width - side))
+    (top, bottom), (left, right) = ((side.start, side.stop - 1) for side in where)
+    side = min(int(1.06 * max(bottom - top, right - left)) + 4, height, width)
+    top = int(np.clip((top + bottom - side) // 2, 0, height - side))
+    left = int(np.clip((left + right - side) // 2, 0, width - side))
     return slice(top, top + side), slice(left, left + side)
-
-
-def cropped(
-    tiles: Sequence[Float[np.ndarray, "height width 3"]], where: tuple[slice, slice]
-) -> list[UInt8[np.ndarray, "a b 3"]]:
-    return [bytes_of(tile[where]) for tile in tiles]
 
 
 def sheet(rows: list[list[np.ndarray]], titles: list[list[str]], heading: str, *, columns: int) -> Image.Image:
@@ -120,31 +113,14 @@ def save_sheet(out: Path, page: Image.Image) -> None:
         file.write(buffer.getvalue())
 
 
-def film_sheet(film: Path, out: Path, *, frames: int = 24, columns: int = 6) -> None:
-    """Frames of a film, evenly spread, in a grid."""
-    with open_film(film) as container:
-        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    chosen = np.unique(np.linspace(0, len(pictures) - 1, frames).round().astype(int))
-    rows = [[pictures[i]] for i in chosen]
-    titles = [[f"frame {i}"] for i in chosen]
-    save_sheet(out, sheet(rows, titles, f"{film.name}, {plural(len(pictures), 'frame')}", columns=columns))
-
-
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench.report.contact", description="Contact sheets of a person or a film."
-    )
-    parser.add_argument("paths", nargs="*", type=Path, metavar="RUN AVATAR CAPTURE")
-    parser.add_argument("--film", type=Path, help="make the sheet of this film instead")
+    parser = argparse.ArgumentParser(prog="python -m bench.report.contact", description="Contact sheet of a person.")
+    parser.add_argument("run", type=Path)
+    parser.add_argument("avatar", type=Path)
+    parser.add_argument("capture", type=Path)
     parser.add_argument("-o", dest="out", type=Path, required=True, metavar="SHEET.png")
     options = parser.parse_args(argv)
-    if options.film is not None:
-        film_sheet(options.film, options.out)
-        return 0
-    if len(options.paths) != 3:
-        parser.error("expected RUN AVATAR CAPTURE, or --film FILE")
-    run, avatar, capture = options.paths
-    contact_sheet(run, avatar, capture, options.out)
+    contact_sheet(options.run, options.avatar, options.capture, options.out)
     return 0
 
 

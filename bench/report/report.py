@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from avatar.gltf.avatar_file import Avatar, read_avatar
-from bench.ladder.machine import machine
-from bench.ladder.quiet import Quiet, warning
+from bench.ladder.machine import Quiet
 from bench.ladder.rung_pictures import (
     FRAMES,
     ComparedFrame,
@@ -26,13 +25,13 @@ from bench.ladder.rung_scores import compared, crop_of, flicker, mark_dominated,
 from bench.report.contact import save_sheet
 from bench.report.frontier.page import PagePictures, frontier_page
 from bench.report.rung_page import markdown, plot, rung_sheet
-from bench.report.writer import Json, write_json, write_text
-from files.whole import whole_folder
+from bench.report.writer import Json
+from files.whole import whole_folder, write_json, write_text
 from player.budget.ladder import Timing, rungs_of, time_rungs
 from player.budget.rung import Rung
 from player.gl.context import Context, opened
 
-Pictures = dict[str, list[Float[np.ndarray, "height width 3"]]]
+Pictures = list[Float[np.ndarray, "height width 3"]]
 
 
 def bench(
@@ -52,15 +51,21 @@ def bench(
     context = opened("auto", None)
     try:
         rungs = rungs_of(avatar)
-        drawn = drawn_rungs(context, avatar, rungs, frames, rounds)
+        seen, full = [(frame.pose, frame.camera) for frame in frames], frames[0].camera.size
+        with Quiet() as quiet:
+            timings = time_rungs(context, avatar, rungs, seen, full, rounds=rounds)
+        measured = [
+            MeasuredRung(timed_row(rung, timing, timings[0]), timing.ms, rung_pictures(context, avatar, rung, frames))
+            for rung, timing in zip(rungs, timings, strict=True)
+        ]
+        score_flicker(context, avatar, rungs, [one.row for one in measured], full)
         if run is not None:
-            drawn = with_field(context, run, frames, drawn)
+            measured = with_field(context, run, frames, measured)
         truths = [f.truth.image() for f in frames if f.truth is not None]
-        facts = machine(context.renderer, context.kind)
     finally:
         context.release()
 
-    rows, pictures = drawn.rows, drawn.pictures
+    rows, pictures = [one.row for one in measured], {one.row["name"]: one.pictures for one in measured}
     best, baked = rows[0]["name"], rungs[0].name
     masks = [
         frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
@@ -68,19 +73,18 @@ def bench(
     ]
     crops = [crop_of(mask) for mask in masks]
     parts = [part_boxes(avatar, *frame.pose, frame.camera) for frame in frames]
-    others: Pictures = {} if best == baked else {"against_baked": pictures[baked]}
-    others |= {} if capture is None else {"against_truth": truths}
-    for row in rows:
-        shown = pictures[row["name"]]
-        row |= compared(pictures[best], shown, crops, masks) | {"parts": part_scores(pictures[best], shown, parts)}
-        for against, other in others.items():
-            row[against] = compared(other, shown, crops, masks) | {"parts": part_scores(other, shown, parts)}
-    for against in (None, *others):
-        mark_dominated(rows, drawn.times, against)
+    references: dict[str | None, Pictures] = {None: pictures[best]}
+    references |= {} if best == baked else {"against_baked": pictures[baked]}
+    references |= {} if capture is None else {"against_truth": truths}
+    for against, reference in references.items():
+        for row in rows:
+            shown = pictures[row["name"]]
+            scores = compared(reference, shown, crops, masks) | {"parts": part_scores(reference, shown, parts)}
+            row |= scores if against is None else {against: scores}
+        mark_dominated(rows, [one.ms for one in measured], against)
     result = {
         "format": "selfscan-bench",
-        "machine": facts | {"others_cpu_share": drawn.others_share},
-        "warning": warning(drawn.others_share, facts["load_average"]),
+        **quiet.facts(context),
         "avatar": avatar.name,
         "frames": len(frames),
         "size": list(frames[0].camera.size),
@@ -101,41 +105,25 @@ def bench(
     return result
 
 
-class DrawnRungs(NamedTuple):
-    """Rungs as they were measured, the best first: rows of the result, milliseconds of those that took turns, and
-    pictures by name."""
+class MeasuredRung(NamedTuple):
+    """A row of the result, milliseconds of each round where the rung took turns with the others, and its pictures."""
 
-    rows: list[Json]
-    times: list[np.ndarray | None]
+    row: Json
+    ms: Float[np.ndarray, "rounds"] | None
     pictures: Pictures
-    # share of the processors that other programs took meanwhile
-    others_share: float | None
 
 
-def drawn_rungs(
-    context: Context, avatar: Avatar, rungs: Sequence[Rung], frames: Sequence[ComparedFrame], rounds: int
-) -> DrawnRungs:
-    """Every rung of the player: time in turns, pictures, flicker."""
-    full = frames[0].camera.size
-    with Quiet() as quiet:
-        timings = time_rungs(context, avatar, rungs, [(f.pose, f.camera) for f in frames], full, rounds=rounds)
-    rows = [timed_row(rung, timing, timings[0]) for rung, timing in zip(rungs, timings, strict=True)]
-    pictures = {rung.name: rung_pictures(context, avatar, rung, frames) for rung in rungs}
-    score_flicker(context, avatar, rungs, rows, full)
-    return DrawnRungs(rows, [timing.ms for timing in timings], pictures, quiet.others)
-
-
-def with_field(context: Context, run: Path, frames: Sequence[ComparedFrame], drawn: DrawnRungs) -> DrawnRungs:
+def with_field(
+    context: Context, run: Path, frames: Sequence[ComparedFrame], measured: list[MeasuredRung]
+) -> list[MeasuredRung]:
     """The rungs of the run's field before the player's; they took no turns with those."""
     from bench.field.rungs import field_rungs  # it brings torch
 
-    rows, times, pictures = list(drawn.rows), list(drawn.times), dict(drawn.pictures)
-    baked_ms = np.median(np.asarray(drawn.times[0]))
-    for name, ms, bytes_, shown in field_rungs(context, run, frames):
-        rows.insert(0, row_of(name, ms, bytes_) | {"times_faster": round(float(baked_ms / np.median(ms)), 5)})
-        times.insert(0, None)
-        pictures = {name: shown} | pictures
-    return DrawnRungs(rows, times, pictures, drawn.others_share)
+    baked_ms = measured[0].row["ms_median"]
+    for name, ms, size, pictures in field_rungs(context, run, frames):
+        row = row_of(name, ms, size) | {"times_faster": round(float(baked_ms / np.median(ms)), 5)}
+        measured = [MeasuredRung(row, None, pictures), *measured]
+    return measured
 
 
 def timed_row(rung: Rung, timing: Timing, best: Timing) -> Json:

@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -11,13 +11,45 @@ from PIL import Image
 from avatar.texture import bytes_of
 from bench.report.contact import sheet
 from bench.report.writer import Json, markdown_table, number
-from bench.score.metrics import RUNG_METRICS, text_of
+from bench.score.metrics import RUNG_METRICS
 from files.whole import whole_file
 
 # names in the figure, one line each
 MOST_NAMED = 12
 # FLIP up to which two pictures are the same to the eye, and what can be seen when they are flicked or side by side
 SAME, ROUGHER = 0.005, (0.015, 0.035)
+
+
+class Column(NamedTuple):
+    """A number of a rung as the tables of bench.md and bench.html show it."""
+
+    title: str
+    # where a row holds it
+    path: tuple[str, ...]
+    digits: int
+    scale: float = 1.0
+    # "lower" or "higher", of scores
+    better: str = ""
+
+    def text(self, row: Json) -> str:
+        value: Any = row
+        for key in self.path:
+            value = value.get(key) if isinstance(value, dict) else None
+        if value is None and "infinite" in row.get("reasons", {}).get(self.path[0], ""):
+            return "same"
+        return number(value if value is None else self.scale * value, self.digits)
+
+
+RUNG_COLUMNS = (
+    Column("p95", ("ms_p95",), 2),
+    Column("FLIP", ("flip",), 4, better="lower"),
+    Column("head", ("parts", "head", "flip"), 4, better="lower"),
+    Column("hands", ("parts", "hands", "flip"), 4, better="lower"),
+    Column("flicker", ("flicker",), 2, better="lower"),
+    *(Column(m.title, (m.key,), m.digits, better=m.better) for m in RUNG_METRICS if m.key != "flip"),
+    Column("start ms", ("start_ms",), 0),
+    Column("MB", ("bytes",), 1, 1e-6),
+)
 
 
 class Point(NamedTuple):
@@ -49,35 +81,21 @@ def markdown(result: Json) -> str:
         "*dominated*: another rung is surely faster and in no picture less exact. `bench.html` shows it.",
         "",
     ]
-    scores = [metric for metric in RUNG_METRICS if metric.key != "flip"]
-    head = ["rung", "ms median (95 %)", "p95", "faster", "start ms", "MB", "FLIP", "head", "hands", "flicker"]
-    head += [metric.title for metric in scores] + [*columns.values(), ""]
-    rows = []
-    for row in result["rungs"]:
-        cells = [
+    head = ["rung", "ms median (95 %)", "faster", *(column.title for column in RUNG_COLUMNS), *columns.values(), ""]
+    rows = [
+        [
             row["name"],
-            f"{number(row['ms_median'])} ({interval_text(row)})",
-            number(row["ms_p95"]),
+            "{} ({} - {})".format(*map(number, (row["ms_median"], *row["ms_interval"]))),
             number(row["times_faster"]),
-            number(row.get("start_ms"), 0),
-            number(row["bytes"] / 1e6, 1),
-            number(row["flip"], 4),
-            *(number(row["parts"].get(part, {}).get("flip"), 4) for part in ("head", "hands")),
-            number(row.get("flicker")),
-            *(text_of(row, metric).replace("inf", "same") for metric in scores),
+            *(column.text(row) for column in RUNG_COLUMNS),
             *(f"{number(row[key]['flip'], 4)}, {number(row[key]['psnr_db'])} dB" for key in columns),
             "dominated" if row["dominated"] else "",
         ]
-        rows.append(cells)
+        for row in result["rungs"]
+    ]
     lines += markdown_table(head, rows)
     lines += ["", "![accuracy against time](pareto.png)", "", trade_sentence(result), "", "![rungs](rungs.png)", ""]
     return "\n".join(lines)
-
-
-def interval_text(row: Json) -> str:
-    """The median's interval of confidence; a file of before has none."""
-    low, high = row.get("ms_interval", (None, None))
-    return f"{number(low)} - {number(high)}"
 
 
 def shown_scores(result: Json) -> str | None:
@@ -138,9 +156,6 @@ def duration(ms: float) -> str:
 def plot(result: Json, path: Path) -> None:
     """Milliseconds against FLIP: the frontier with its names beside it, every other rung a faint dot, and a sentence
     that says what time buys."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     from matplotlib.figure import Figure
     from matplotlib.ticker import FormatStrFormatter, NullFormatter
 

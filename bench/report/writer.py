@@ -1,11 +1,7 @@
-"""What reports are written with: tables in Markdown, numbers in them, and files of JSON and text."""
+"""What reports are written with: tables in Markdown, and numbers in them."""
 
-import json
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
-
-from files.whole import whole_file
 
 # an object that json.dump takes
 Json = dict[str, Any]
@@ -23,14 +19,3 @@ def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[s
 def number(value: float | None, digits: int = 2) -> str:
     """Rounded; a dash where there is none."""
     return "-" if value is None else f"{value:.{digits}f}"
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    with whole_file(path, "w") as file:
-        file.write(text)
-
-
-def write_json(path: Path, value: Json) -> None:
-    """Write an object as JSON, one entry a line."""
-    write_text(path, json.dumps(value, indent=1))

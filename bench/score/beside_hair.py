@@ -44,8 +44,7 @@ def skin_beside_hair(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
 
 def _head_or_neck(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
     bones = [JOINTS.index("neck"), JOINTS.index("head")]
-    strongest = np.take_along_axis(truth.skin.joints, truth.skin.weights.argmax(1)[:, None], 1)[:, 0]
-    own = (truth.part == PARTS.index("head")) | np.isin(strongest, bones)
+    own = (truth.part == PARTS.index("head")) | np.isin(truth.skin.heaviest, bones)
     return own[truth.faces].any(1)
 
 

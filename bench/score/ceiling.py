@@ -63,16 +63,13 @@ def true_subject(capture: Path, truth: TrueMesh) -> SynthSubject:
     folder = Path(capture) / "truth"
     fields = read_npz(folder / "rest.npz", "ground truth", {"uv", "material"})
     count = int(fields["material"].max()) + 1
-    textures = []
-    for i in range(count):
-        textures.append(read_picture(folder / f"texture_{i}.png"))
     return SynthSubject(
         name="truth",
         vertices=truth.vertices.astype(np.float32),
         faces=truth.faces,
         uv=fields["uv"],
         material=fields["material"].astype(np.int64),
-        textures=tuple(textures),
+        textures=tuple(read_picture(folder / f"texture_{i}.png") for i in range(count)),
         alpha=(None,) * count,
         skin=truth.skin,
         joints=truth.joints,

@@ -35,9 +35,6 @@ class Score(NamedTuple):
     value: float | None
     reason: str = ""
 
-    def text(self, digits: int = 2) -> str:
-        return f"{self.value:.{digits}f}" if self.value is not None else ("inf" if "infinite" in self.reason else "-")
-
 
 Sample = Score | PooledError
 Perceive = Callable[[Float[np.ndarray, "height width 3"], Float[np.ndarray, "_ _ 3"]], Score]  # LPIPS
@@ -95,15 +92,6 @@ def checked_error(
     """The squared error of pictures that can be compared, over `mask` where given."""
     check_images(truth, image)
     return error_between(truth, image, mask)
-
-
-def psnr(
-    truth: Float[np.ndarray, "height width 3"],
-    image: Float[np.ndarray, "_ _ 3"],
-    mask: Bool[np.ndarray, "height width"] | None = None,
-) -> Score:
-    """Peak signal-to-noise ratio of one image in dB, over `mask` where given."""
-    return psnr_score(checked_error(truth, image, mask))
 
 
 def ssim(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
@@ -227,9 +215,9 @@ class ImageScores:
         return {m.key: pooled_score(self.samples.get(m.key, [])) for m in self.metrics}
 
 
-def text_of(scores: Mapping[str, Any], metric: Metric, digits: int | None = None) -> str:
+def text_of(scores: Mapping[str, Any], metric: Metric) -> str:
     """One cell of a table: the number in JSON, "inf" of equal pictures, else a dash."""
     value = scores.get(metric.key)
     if value is None:
         return "inf" if "infinite" in scores.get("reasons", {}).get(metric.key, "") else "-"
-    return f"{value:.{metric.digits if digits is None else digits}f}"
+    return f"{value:.{metric.digits}f}"

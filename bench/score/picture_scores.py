@@ -6,7 +6,7 @@ dilated by 5 px; the eyes on the head's close-ups, over the truth's visible eyeb
 box and mask being that region itself. Frames in the T-pose are kept apart.
 """
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.ndimage import binary_dilation
 
 from avatar.camera import Camera, pixel_rays, project
 from avatar.skeleton import PARTS
+from bake.truth import REGIONS
 from bench.field.posed_field import MaskedPicture
 from bench.score.metrics import ComparedPicture, ImageScores, Perceive, rectangle
 from bench.score.true_mesh import TrueMesh
@@ -29,13 +30,8 @@ Draw = Callable[
     [Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera, int, Bool[np.ndarray, "height width"]], MaskedPicture
 ]
 
-REGIONS = ("head", "left_hand", "right_hand", "total")
-VIEW_REGION = {"body": "total", "head": "head", "hand_left": "left_hand", "hand_right": "right_hand"}
-REGION_PART = {
-    "head": PARTS.index("head"),
-    "left_hand": PARTS.index("hand_left"),
-    "right_hand": PARTS.index("hand_right"),
-}
+VIEW_REGION = {view: region for region, view in REGIONS.items()}
+REGION_PART = {region: PARTS.index(view) for region, view in REGIONS.items() if region != "total"}
 BOX_MARGIN = 0.02  # metres round the posed true region
 # squared rays a pixel of ours; the truth is smoothed as well, by 3 x 3
 SAMPLES = 2
@@ -94,8 +90,6 @@ class SetScores(NamedTuple):
 
     scored: dict[str, ImageScores]
     t_pose: dict[str, ImageScores]
-    # those of `scored` that are of the few poses
-    few: dict[str, ImageScores]
 
 
 class PictureJudge(NamedTuple):
@@ -115,17 +109,16 @@ def score_images(
     label: str,
     *,
     t_pose_apart: bool,
-    few: Set[int] = frozenset(),
     ours: Sequence[HeldOutView] | None = None,
 ) -> SetScores:
-    """Draw and score every picture of a set; those of the `few` pose indices are also gathered by themselves.
+    """Draw and score every picture of a set.
 
     `ours`: the same views in the poses that are drawn, where the skeleton is another than the truth's.
     With a raster and a truth that knows its eyes, the eye region of the head's close-ups is scored as well.
     """
     mesh, draw, perceive, raster = judge
-    regions = REGIONS if raster is None or mesh.eye is None else (*REGIONS, "eyes")
-    scores = SetScores({region: ImageScores() for region in regions}, {}, {region: ImageScores() for region in regions})
+    with_eyes = raster is not None and mesh.eye is not None
+    scores = SetScores({region: ImageScores() for region in (*REGIONS, *["eyes"] * with_eyes)}, {})
     vertices_of = {region: np.flatnonzero(mesh.part == part) for region, part in REGION_PART.items()}
     vertices_of["total"] = np.unique(mesh.faces)
     posed: tuple[int, np.ndarray] = (-1, np.zeros((0, 3)))
@@ -142,29 +135,17 @@ def score_images(
             looked_at[where] = around[where]
         image = draw(own.axis_angle, own.root, view.camera, SAMPLES, looked_at).color * around[..., None]
         truth = view.image() * around[..., None]
-        ones = {region: scored(truth, image, box, mask, perceive)}
-        if region == "head" and raster is not None and "eyes" in regions:
+        compared = {region: (box, mask)}
+        if region == "head" and raster is not None and with_eyes:
             eyes = eye_region(raster, mesh, posed[1], view.camera) & around
-            ones["eyes"] = scored(truth, image, eyes, eyes, perceive)
+            compared["eyes"] = eyes, eyes
         into = scores.t_pose if t_pose_apart and is_t_pose(view) else scores.scored
-        for region, one in ones.items():
-            into[region] = into.get(region, ImageScores()).merged(one)
-            if into is scores.scored and view.pose_index in few:
-                scores.few[region] = scores.few[region].merged(one)
-    return scores
-
-
-def scored(
-    truth: Float[np.ndarray, "height width 3"],
-    image: Float[np.ndarray, "height width 3"],
-    box: Bool[np.ndarray, "height width"],
-    mask: Bool[np.ndarray, "height width"],
-    perceive: Perceive | None,
-) -> ImageScores:
-    """Scores of a region of one picture; of no pictures where it lies outside."""
-    scores, where = ImageScores(), rectangle(box)
-    if where is not None:
-        scores.add(ComparedPicture(truth, image, where, box, mask, perceive))
+        for name, (box, mask) in compared.items():
+            into.setdefault(name, ImageScores())
+            where = rectangle(box)
+            # what lies outside the picture counts as no picture
+            if where is not None:
+                into[name].add(ComparedPicture(truth, image, where, box, mask, perceive))
     return scores
 
 

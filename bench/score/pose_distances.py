@@ -9,12 +9,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-
 from bench.field.posed_field import PosableSurface
 from bench.score.picture_scores import VIEW_REGION
-from bench.score.posed_geometry import SAMPLES, Distances, GeometryCase, PosedPair, alignment, measure_pose, posed_pair
-from bench.score.region_scores import gather
+from bench.score.posed_geometry import (
+    SAMPLES,
+    Distances,
+    GeometryCase,
+    PosedPair,
+    alignment,
+    measure_pose,
+    nothing,
+    posed_pair,
+)
 from bench.score.true_mesh import TrueMesh
 from capture.held_out import HeldOutView
 from command.progress import progress
@@ -31,34 +37,25 @@ class Placement(NamedTuple):
     ours: dict[tuple[str, ...], HeldOutView]
 
 
-def nothing() -> dict[str, Distances]:
-    return {region: Distances() for region in SAMPLES}
-
-
 @dataclass
-class PoseDistances:
-    """What was measured over a set, by region."""
+class SetDistances:
+    """What was measured over a set of poses."""
 
-    ours: dict[str, Distances] = field(default_factory=nothing)
-    few: dict[str, Distances] = field(default_factory=nothing)  # the few poses alone
-    aligned: dict[str, Distances] = field(default_factory=nothing)
+    ours: Distances = field(default_factory=nothing)
+    aligned: Distances = field(default_factory=nothing)
     # under the rig's own weights
-    own: dict[str, Distances] = field(default_factory=nothing)
-    template: dict[str, Distances] = field(default_factory=nothing)
-    template_aligned: dict[str, Distances] = field(default_factory=nothing)
-
-
-def distinct_poses(views: Sequence[HeldOutView]) -> list[HeldOutView]:
-    """One view of each pose; turning the whole person is no other pose to a distance between surfaces."""
-    found: dict[bytes, HeldOutView] = {}
-    for view in views:
-        found.setdefault(view.axis_angle[1:].round(9).tobytes(), view)
-    return list(found.values())
+    own: Distances = field(default_factory=nothing)
+    template: Distances = field(default_factory=nothing)
+    template_aligned: Distances = field(default_factory=nothing)
 
 
 def same_poses(views: Sequence[HeldOutView]) -> list[Placement]:
-    """Ours posed as the truth is."""
-    return [Placement(view, {tuple(SAMPLES): view}) for view in distinct_poses(views)]
+    """Ours posed as the truth is, each pose once: turning the whole person is no other pose to a distance between
+    surfaces."""
+    found: dict[bytes, Placement] = {}
+    for view in views:
+        found.setdefault(view.axis_angle[1:].round(9).tobytes(), Placement(view, {tuple(SAMPLES): view}))
+    return list(found.values())
 
 
 def fitted_poses(views: Sequence[HeldOutView], ours: Sequence[HeldOutView]) -> list[Placement]:
@@ -88,47 +85,35 @@ class JudgedSurfaces:
         return self.case.truth
 
 
-def measure_poses(what: JudgedSurfaces, placements: list[Placement], few: frozenset[int], label: str, *, beside: bool
-                  ) -> PoseDistances:  # fmt: skip
+def measure_poses(
+    what: JudgedSurfaces, placements: list[Placement], label: str, *, beside: bool = False
+) -> SetDistances:
     """Every distance of a set; `beside`: also what stands beside the main rows."""
-    out = PoseDistances()
+    out, case, template = SetDistances(), what.case, what.template
     for placement in progress(placements, label):
-        view, here = placement.truth, nothing()
-        truth = what.truth.posed(view.axis_angle, view.root)
-        pair: PosedPair | None = None
+        truth = what.truth.posed(placement.truth.axis_angle, placement.truth.root)
+        index = triangle_index(truth, case.truth_faces)
         for regions, ours in placement.ours.items():
             pose = ours.axis_angle, ours.root
-            pair = _moved(what.case, pair, truth, what.case.surface.posed(*pose))
-            measure_pose(what.case, pair, {region: here[region] for region in regions if region in here})
+            pair = posed_pair(case, truth, case.surface.posed(*pose), index)
+            measure_pose(case, pair, out.ours, regions)
             if not beside:
                 continue
-            _measure_aligned(what, what.case, pair, regions, out.aligned)
+            _measure_aligned(what, case, pair, regions, out.aligned)
             if what.own is not None:
-                measure_pose(what.case, _moved(what.case, pair, truth, what.own.posed(*pose)), out.own, every=BESIDE)
-            if what.template is not None:
-                posed = what.template.surface.posed(*pose)
-                bare = PosedPair(truth, posed, pair.truth_index, triangle_index(posed, what.template.faces))
-                into = {region: out.template[region] for region in regions if region in out.template}
-                measure_pose(what.template, bare, into, every=BESIDE)
-                _measure_aligned(what, what.template, bare, regions, out.template_aligned)
-        gather(here, out.ours)
-        if view.pose_index in few:
-            gather(here, out.few)
+                measure_pose(case, posed_pair(case, truth, what.own.posed(*pose), index), out.own, every=BESIDE)
+            if template is not None:
+                bare = posed_pair(template, truth, template.surface.posed(*pose), index)
+                measure_pose(template, bare, out.template, regions, every=BESIDE)
+                _measure_aligned(what, template, bare, regions, out.template_aligned)
     return out
 
 
-def _moved(case: GeometryCase, pair: PosedPair | None, truth: np.ndarray, posed: np.ndarray) -> PosedPair:
-    """The same truth beside another pose of ours."""
-    if pair is None:
-        return posed_pair(case, truth, posed)
-    return pair._replace(surface=posed, index=triangle_index(posed, case.faces))
-
-
 def _measure_aligned(
-    what: JudgedSurfaces, case: GeometryCase, pair: PosedPair, regions: tuple[str, ...], into: dict[str, Distances]
+    what: JudgedSurfaces, case: GeometryCase, pair: PosedPair, regions: tuple[str, ...], into: Distances
 ) -> None:
     wanted = [region for region in regions if region in into and region in case.on_surface]
     groups = [[region] for region in wanted if region != "skin_beside_hair"] if what.apart else [wanted]
     for group in filter(None, groups):
         T = alignment(case, pair, group[0] if what.apart else "total")
-        measure_pose(case, pair, {region: into[region] for region in group}, every=BESIDE, truth_from_surface=T)
+        measure_pose(case, pair, into, group, every=BESIDE, truth_from_surface=T)

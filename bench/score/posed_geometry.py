@@ -1,6 +1,7 @@
 """Reconstruction against truth in every test pose: which samples count to which region, and their distances."""
 
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -34,9 +35,7 @@ class GeometryCase:
     on_surface: dict[str, SurfaceSamples]  # into faces
 
 
-def geometry_case(
-    truth: TrueMesh, surface: PosableSurface, visible: Bool[np.ndarray, "g"], *, seed: int = 0
-) -> GeometryCase:
+def geometry_case(truth: TrueMesh, surface: PosableSurface, visible: Bool[np.ndarray, "g"]) -> GeometryCase:
     """Sample both surfaces. A face of the reconstruction belongs to the region of the true surface nearest to it in
     the canonical pose; the reconstruction's own labels are not trusted."""
     check_mesh(truth.vertices, truth.faces, "truth")
@@ -46,52 +45,48 @@ def geometry_case(
     canonical = truth.canonical()
     middles = canonical[truth_faces].mean(1)
     nearest = KDTree(middles).query(surface.vertices[faces].mean(1))[1]
-    truth_part = truth.part[truth_faces[:, 0]]
-    members = {region: truth_part == part for region, part in REGION_PART.items()}
-    members["skin_beside_hair"] = skin_beside_hair(truth)[truth.visible]
-
+    part = truth.part[truth_faces[:, 0]]
+    members = {"total": np.ones(len(part), bool), "skin_beside_hair": skin_beside_hair(truth)[truth.visible]}
+    members |= {region: part == number for region, number in REGION_PART.items()}
     on_truth, on_surface = {}, {}
     for number, (region, count) in enumerate(SAMPLES.items()):
-        keep_truth = members.get(region)
-        if keep_truth is not None and not keep_truth.any():
-            continue
-        keep = None if keep_truth is None else keep_truth[nearest]
-        on_truth[region] = stratified_samples(
-            truth.vertices, truth_faces, count, seed=seed + 2 * number, weight=keep_truth
-        )
-        if keep is None or keep.any():
-            on_surface[region] = stratified_samples(
-                surface.vertices, faces, count, seed=seed + 2 * number + 1, weight=keep
-            )
+        own, ours = members[region], members[region][nearest]
+        if own.any():
+            on_truth[region] = stratified_samples(truth.vertices, truth_faces, count, seed=2 * number, weight=own)
+        if ours.any():
+            on_surface[region] = stratified_samples(surface.vertices, faces, count, seed=2 * number + 1, weight=ours)
     return GeometryCase(truth, truth_faces, surface, faces, on_truth, on_surface)
 
 
-@dataclass
-class Distances:
-    """Distances in metres of one region, gathered over poses."""
+class PoseDistances(NamedTuple):
+    """Distances in metres of one region in one pose, and which of the true surface there is hair."""
 
-    to_truth: list[np.ndarray] = field(default_factory=list)
-    to_surface: list[np.ndarray] = field(default_factory=list)
-    # is the nearest true surface hair
-    hair_to_truth: list[np.ndarray] = field(default_factory=list)
-    hair_to_surface: list[np.ndarray] = field(default_factory=list)
+    to_truth: Float[np.ndarray, "n"]
+    hair_to_truth: Bool[np.ndarray, "n"]
+    to_surface: Float[np.ndarray, "m"]
+    hair_to_surface: Bool[np.ndarray, "m"]
 
-    def merged(self, other: "Distances") -> "Distances":
-        return Distances(**{name: own + getattr(other, name) for name, own in vars(self).items()})
 
-    def scores(self, hair: bool | None = None) -> SurfaceDistance:
-        """All surface, or only what is hair (True) or is not (False)."""
-        if not self.to_truth or not self.to_surface:
-            return SurfaceDistance(None, None, None)
-        to_truth, to_surface = np.concatenate(self.to_truth), np.concatenate(self.to_surface)
-        if hair is not None:
-            to_truth = to_truth[np.concatenate(self.hair_to_truth) == hair]
-            to_surface = to_surface[np.concatenate(self.hair_to_surface) == hair]
-        return surface_distance(to_truth, to_surface)
+# by region, those of each pose
+Distances = dict[str, list[PoseDistances]]
+
+
+def nothing() -> Distances:
+    return {region: [] for region in SAMPLES}
+
+
+def pooled_distance(poses: list[PoseDistances], hair: bool | None = None) -> SurfaceDistance:
+    """Over all poses, of all surface, or only of what is hair (True) or is not (False)."""
+    if not poses:
+        return SurfaceDistance(None, None, None)
+    to_truth, hair_to_truth, to_surface, hair_to_surface = (np.concatenate(part) for part in zip(*poses))
+    if hair is not None:
+        to_truth, to_surface = to_truth[hair_to_truth == hair], to_surface[hair_to_surface == hair]
+    return surface_distance(to_truth, to_surface)
 
 
 class PosedPair(NamedTuple):
-    """Truth and reconstruction in one pose, ready to be measured."""
+    """Truth and reconstruction in one pose, metres, each with the search structure of what can be seen of it."""
 
     truth: Float[np.ndarray, "vertices 3"]
     surface: Float[np.ndarray, "w 3"]
@@ -100,25 +95,29 @@ class PosedPair(NamedTuple):
 
 
 def posed_pair(
-    case: GeometryCase, truth_posed: Float[np.ndarray, "vertices 3"], posed: Float[np.ndarray, "w 3"]
+    case: GeometryCase,
+    truth: Float[np.ndarray, "vertices 3"],
+    posed: Float[np.ndarray, "w 3"],
+    truth_index: TriangleIndex | None = None,
 ) -> PosedPair:
-    """Both surfaces posed, metres, each with the search structure of what can be seen of it."""
-    indices = triangle_index(truth_posed, case.truth_faces), triangle_index(posed, case.faces)
-    return PosedPair(truth_posed, posed, *indices)
+    """Both surfaces posed; `truth_index`: where it was made for another pose of ours."""
+    index = triangle_index(truth, case.truth_faces) if truth_index is None else truth_index
+    return PosedPair(truth, posed, index, triangle_index(posed, case.faces))
 
 
 def measure_pose(
     case: GeometryCase,
     pair: PosedPair,
-    into: dict[str, Distances],
+    into: Distances,
+    only: Collection[str] = SAMPLES,
     *,
     every: int = 1,
     truth_from_surface: Float[np.ndarray, "4 4"] | None = None,
 ) -> None:
-    """Add the distances of one pose, of every region in `into`. `every` takes only each n-th sample;
-    `truth_from_surface` moves the reconstruction rigidly first."""
+    """Add the distances of one pose to those regions of `into` that are among `only`. `every` takes only each n-th
+    sample; `truth_from_surface` moves the reconstruction rigidly first."""
     hair = hair_faces(case.truth)[case.truth.visible]
-    regions = [region for region in case.on_truth if region in case.on_surface and region in into]
+    regions = [region for region in case.on_truth if region in case.on_surface and region in into and region in only]
     if not regions:
         return
     ours = [thinned(case.on_surface[region], every) for region in regions]
@@ -134,10 +133,7 @@ def measure_pose(
     distance, face = np.split(to_truth.distance, ends[0]), np.split(to_truth.face, ends[0])
     returning = np.split(to_surface.distance, ends[1])
     for i, region in enumerate(regions):
-        into[region].to_truth.append(distance[i])
-        into[region].hair_to_truth.append(hair[face[i]])
-        into[region].to_surface.append(returning[i])
-        into[region].hair_to_surface.append(hair[true[i].face])
+        into[region].append(PoseDistances(distance[i], hair[face[i]], returning[i], hair[true[i].face]))
 
 
 def thinned(samples: SurfaceSamples, every: int) -> SurfaceSamples:

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from bake.truth import IDENTITY, better_mode, scores_by_mode, some_poses
 from bench.field.drawer import Drawer
 from bench.field.posed_field import PosableSurface, one_thread
 from bench.ladder.machine import machine
-from bench.ladder.remeasure import remeasured
+from bench.ladder.remeasure import baked_facts, recorded_facts, remeasured
 from bench.report.writer import Json
 from bench.score.beside_hair import edges_at_hair, skin_to_surface, stretched_edges
 from bench.score.ceiling import CeilingDrawer
@@ -34,19 +35,18 @@ from bench.score.pose_distances import (
     BESIDE,
     JudgedSurfaces,
     Placement,
-    PoseDistances,
-    distinct_poses,
+    SetDistances,
     fitted_poses,
     measure_poses,
     same_poses,
 )
 from bench.score.posed_geometry import (
-    SAMPLES,
     Distances,
     GeometryCase,
     alignment,
     geometry_case,
     measure_pose,
+    nothing,
     own_weights_surface,
     posed_pair,
 )
@@ -57,7 +57,7 @@ from bench.score.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import CaptureSubject, input_kind, read_subject
 from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts
 from command.errors import AssetError
-from command.progress import plural, progress
+from command.progress import plural
 from files.input_file import read_json_object
 from player.gl.context import open_context
 from synth.visibility import visible_faces
@@ -87,8 +87,6 @@ class Evaluated:
     template: CaptureSubject | None = None
     # poses of the person's own videos; None: not asked for
     videos: FilmedPoses | None = None
-    # novel poses whose scores are gathered by themselves as well
-    few: int | None = None
     perceive: Perceive | None = None
 
     def posed(self, name: str) -> list[HeldOutView]:
@@ -106,12 +104,10 @@ def evaluate(
     *,
     ceiling: bool = False,
     poses: int | None = None,
-    few: int | None = None,
     run: Path | None = None,
     lpips: Sequence[Path] = (),
 ) -> Json:
-    """Every number of `selfscan eval` as one JSON-ready dictionary; with `few`, "few_poses" holds the novel poses'
-    scores over that many of them as well. `lpips` are the files of its weights."""
+    """Every number of `selfscan eval` as one JSON-ready dictionary; `lpips` are the files of its weights."""
     start, cpu_start = time.perf_counter(), time.process_time()
     perceive = read_perceptual(lpips).score if lpips else None
     print_stage(f"reading {path} and {capture}")
@@ -121,7 +117,7 @@ def evaluate(
         try:
             kind = input_kind(drawer.provenance.get("capture") or {}, str(path))
             what = prepared(drawer, truth, capture, kind, poses=poses, run=run)
-            what = replace(what, few=few, perceive=perceive)
+            what = replace(what, perceive=perceive)
             result = measured(what)
             if drawer.avatar is not None:
                 result |= of_avatar(what, facts, run, result["baked_vs_field"])
@@ -138,7 +134,7 @@ def evaluate(
         "format": "selfscan-quality",
         "input": kind,
         "source": source,
-        "machine": machine(drawer.context.renderer, drawer.context.kind),
+        "machine": machine(drawer.context),
         "capture": {name: facts[name] for name in CAPTURE_FACTS if name in facts},
         **result,
         "paper": PAPER,
@@ -178,7 +174,7 @@ def of_avatar(what: Evaluated, facts: Json, run: Path | None, baked_vs_field: Js
 
 def view_modes(avatar: Avatar, facts: Json, held_out: dict[str, list[HeldOutView]]) -> Json:
     """Every view mode of the file side by side: PSNR inside the true person, by set and region, and which is best."""
-    recorded = (find_key(avatar.provenance, "default_view") or {}).get("default_view")
+    recorded = baked_facts(avatar).get("default_view")
     judged = not_chosen_on(recorded, facts, held_out)
     context = open_context()
     try:
@@ -275,18 +271,15 @@ def held_out_rows(what: Evaluated, surfaces: JudgedSurfaces, name: str) -> tuple
     views, own_views, novel = what.filmed[name], what.posed(name), name == "novel_pose"
     text = name.replace("_", " ")
     print_stage(f"{text}: {plural(len(views), 'picture')}")
-    few = frozenset(view.pose_index for view in some_poses(views, what.few)) if novel and what.few else frozenset()
-    images = score_images(what.judge, views, f"{name} pictures", t_pose_apart=novel, few=few, ours=own_views)
+    images = score_images(what.judge, views, f"{name} pictures", t_pose_apart=novel, ours=own_views)
     kept = [i for i, view in enumerate(views) if not (novel and is_t_pose(view))]
     moving, own_moving = [views[i] for i in kept], [own_views[i] for i in kept]
     placements = same_poses(moving) if what.ours is None else fitted_poses(moving, own_moving)
     print_stage(f"{text}: {len(placements)} posed surfaces")
-    distances = measure_poses(surfaces, placements, few, f"{name} surfaces", beside=novel)
+    distances = measure_poses(surfaces, placements, f"{name} surfaces", beside=novel)
     rows: Json = {name: {"eyes": without_eyes(NO_EYES)} | regions_of(distances.ours, images.scored)}
     if not novel:
         return rows, {}
-    if what.few:
-        rows["few_poses"] = {"poses": len(few), **regions_of(distances.few, images.few)}
     beside = beside_novel_poses(what, surfaces, distances, placements, own_moving)
     if images.t_pose:
         beside["t_pose_frames"] = regions_of({}, images.t_pose)
@@ -296,7 +289,7 @@ def held_out_rows(what: Evaluated, surfaces: JudgedSurfaces, name: str) -> tuple
 def beside_novel_poses(
     what: Evaluated,
     surfaces: JudgedSurfaces,
-    distances: PoseDistances,
+    distances: SetDistances,
     placements: list[Placement],
     poses: list[HeldOutView],
 ) -> Json:
@@ -326,7 +319,7 @@ def in_filmed_poses(what: JudgedSurfaces, videos: FilmedPoses, joints: np.ndarra
         return {"filmed": None, "filmed_reason": videos.reason}
     placements = videos.some().placements()
     print_stage(f"the person's own videos: {len(placements)} posed surfaces")
-    distances = measure_poses(what, placements, frozenset(), "filmed surfaces", beside=True)
+    distances = measure_poses(what, placements, "filmed surfaces", beside=True)
     rows = {
         "filmed": distances.ours,
         "filmed_aligned": distances.aligned,
@@ -348,25 +341,19 @@ def in_filmed_skeletons(videos: FilmedPoses, joints: np.ndarray, true_joints: np
     for part, found in videos.by_part.items():
         ours = [own for placement in found for own in placement.ours.values()]
         posed[part] = posed_skeletons(ours, [placement.truth for placement in found], joints, true_joints)
-    body, hands = posed["body"], [(posed[part], which) for part, which in HANDS.items()]
-    of_hands = lambda measure: round(float(np.mean([measure(*hand) for hand in hands])), 3)
-    return {
-        "filmed_joints": {
-            "total": round(joints_off(body, LIMBS, aligned=False), 3),
-            "hands": of_hands(lambda hand, which: joints_off(hand, which, aligned=False)),
-        },
-        "filmed_joints_aligned": {
-            "total": round(joints_off(body, LIMBS, aligned=True), 3),
-            "hands": of_hands(lambda hand, which: joints_off(hand, which, aligned=True)),
-        },
-        "filmed_degrees": {
-            "total": round(turned_off(body, BODY), 3),
-            "hands": of_hands(lambda hand, which: turned_off(hand, which[1:])),
-        },
-    }
+    out = {}
+    for name, of_body, first, measure in (
+        ("filmed_joints", LIMBS, 0, partial(joints_off, aligned=False)),
+        ("filmed_joints_aligned", LIMBS, 0, partial(joints_off, aligned=True)),
+        # the wrist's turn is no finger's
+        ("filmed_degrees", BODY, 1, turned_off),
+    ):
+        hands = [measure(posed[part], which[first:]) for part, which in HANDS.items()]
+        out[name] = {"total": round(measure(posed["body"], of_body), 3), "hands": round(float(np.mean(hands)), 3)}
+    return out
 
 
-def zero_steps(what: JudgedSurfaces, distances: PoseDistances) -> Json:
+def zero_steps(what: JudgedSurfaces, distances: SetDistances) -> Json:
     """The row of the template before training: it has a surface and no colors."""
     if what.template is None:
         return {"zero_steps": None, "zero_steps_reason": "the avatar file holds no template; give --run"}
@@ -383,12 +370,9 @@ def measured_ceiling(what: Evaluated, capture: Path, facts: Json) -> Json:
     print_stage(f"the ceiling: {len(views)} pictures and their poses")
     best = CeilingDrawer(what.drawer.raster, capture, facts, truth)
     images = score_images(what.judge._replace(draw=best.draw), views, "ceiling pictures", t_pose_apart=True)
-    case = geometry_case(truth, best.surface, truth.visible)
-    distances = {region: Distances() for region in SAMPLES}
-    for view in progress(distinct_poses([v for v in views if not is_t_pose(v)]), "ceiling surfaces"):
-        pose = view.axis_angle, view.root
-        measure_pose(case, posed_pair(case, truth.posed(*pose), best.surface.posed(*pose)), distances)
-    return regions_of(distances, images.scored)
+    surfaces = JudgedSurfaces(geometry_case(truth, best.surface, truth.visible))
+    placements = same_poses([view for view in views if not is_t_pose(view)])
+    return regions_of(measure_poses(surfaces, placements, "ceiling surfaces").ours, images.scored)
 
 
 def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[HeldOutView]) -> dict[str, int] | None:
@@ -401,9 +385,9 @@ def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[Held
     return {"edges": len(edges), "stretched": stretched_edges(edges, surface.vertices, posed)}
 
 
-def measure_once(what: JudgedSurfaces, axis_angle: np.ndarray, root: np.ndarray) -> dict[str, Distances]:
+def measure_once(what: JudgedSurfaces, axis_angle: np.ndarray, root: np.ndarray) -> Distances:
     """One pose of both; an estimated skeleton, whose pelvis is elsewhere, after rigid ICP."""
-    into, case = {region: Distances() for region in SAMPLES}, what.case
+    into, case = nothing(), what.case
     pair = posed_pair(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root))
     T = alignment(case, pair) if what.apart else None
     measure_pose(case, pair, into, every=BESIDE, truth_from_surface=T)
@@ -414,20 +398,7 @@ def baked_vs_field_of(drawer: Drawer) -> Json:
     """What the bake measured against its field, from the avatar's provenance; null for a run."""
     if drawer.avatar is None:
         return {"paper_db": None, "network_db": None, "reason": "a run is not baked; evaluate its avatar"}
-    found = find_key(drawer.provenance, "paper_db")
-    if found is None:
+    found = recorded_facts(drawer.avatar)["against_field"]
+    if "paper_db" not in found:
         return {"paper_db": None, "network_db": None, "reason": "the avatar file does not say; give --run"}
-    network = found.get("network_db", (found.get("cone_db") or {}).get("network"))
-    return {"paper_db": found["paper_db"], "network_db": network}
-
-
-def find_key(tree: object, key: str) -> Json | None:
-    """The first dictionary, at any depth, that has `key`."""
-    if isinstance(tree, dict):
-        if key in tree:
-            return tree
-        for value in tree.values():
-            found = find_key(value, key)
-            if found is not None:
-                return found
-    return None
+    return {"paper_db": found["paper_db"], "network_db": (found.get("cone_db") or {}).get("network")}

@@ -2,22 +2,22 @@
 
 from bench.report.writer import Json
 from bench.score.metrics import METRICS, PICTURE_METRICS, ImageScores
-from bench.score.posed_geometry import Distances
+from bench.score.posed_geometry import Distances, PoseDistances, pooled_distance
 from bench.score.surface_distance import SurfaceDistance
 
 
-def regions_of(distances: dict[str, Distances], images: dict[str, ImageScores] | None = None) -> dict[str, Json]:
+def regions_of(distances: Distances, images: dict[str, ImageScores] | None = None) -> dict[str, Json]:
     """{"head": M, "left_hand": M, "right_hand": M, "hands": M, "total": M}; hands pool left and right.
 
     "eyes" stands beside the head where pictures of them were scored, "skin_beside_hair" last where there is hair.
     """
     distances, images = dict(distances), dict(images or {})
     if {"left_hand", "right_hand"} <= distances.keys():
-        distances["hands"] = distances["left_hand"].merged(distances["right_hand"])
+        distances["hands"] = distances["left_hand"] + distances["right_hand"]
     if {"left_hand", "right_hand"} <= images.keys():
         images["hands"] = images["left_hand"].merged(images["right_hand"])
     regions = ["head", *(("eyes",) if "eyes" in images else ()), "left_hand", "right_hand", "hands", "total"]
-    if "skin_beside_hair" in distances and distances["skin_beside_hair"].to_truth:
+    if distances.get("skin_beside_hair"):
         regions.append("skin_beside_hair")
     return {region: region_scores(distances.get(region), images.get(region)) for region in regions}
 
@@ -28,17 +28,17 @@ def without_eyes(reason: str) -> Json:
     return {**dict.fromkeys(keys), "reasons": dict.fromkeys(keys, reason)}
 
 
-def region_scores(distances: Distances | None, images: ImageScores | None) -> Json:
+def region_scores(distances: list[PoseDistances] | None, images: ImageScores | None) -> Json:
     """M: {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}, null with its reason in "reasons"."""
     out: Json = {}
     reasons: dict[str, str] = {}
     if distances is not None:
-        out |= surface_scores(distances.scores())
+        out |= surface_scores(pooled_distance(distances))
         if out["p2s_cm"] is None:
             reasons |= dict.fromkeys(out, "the reconstruction has no surface in this region")
         for name, hair in (("hair", True), ("without_hair", False)):
-            if distances.to_truth and any(h.any() for h in distances.hair_to_surface):
-                out[name] = surface_scores(distances.scores(hair=hair))
+            if any(pose.hair_to_surface.any() for pose in distances):
+                out[name] = surface_scores(pooled_distance(distances, hair))
     if images is not None:
         out["pictures"] = images.pictures
         for name, score in images.scores().items():
@@ -57,9 +57,3 @@ def surface_scores(distance: SurfaceDistance) -> dict[str, float | None]:
 
 def rounded(value: float | None, digits: int = 4) -> float | None:
     return None if value is None else round(value, digits)
-
-
-def gather(one: dict[str, Distances], into: dict[str, Distances]) -> None:
-    """Add the distances of one pose."""
-    for region, distances in one.items():
-        into[region] = into[region].merged(distances)

@@ -65,7 +65,6 @@ class TrainedOutline:
 
     def __init__(self, surface: PosableSurface, raster: Rasteriser):
         self.surface, self.raster = surface, raster
-        self.heaviest = surface.skin.joints[np.arange(len(surface.vertices)), surface.skin.weights.argmax(1)]
 
     def refined(self, view: HeldOutView) -> HeldOutView:
         """The view, which holds a fitted pose, in the pose whose outline is the mask's."""
@@ -99,9 +98,9 @@ class TrainedOutline:
     def _moving(self, part: str) -> tuple[Int[Array, "m"], Bool[Array, "vertices"]]:
         """Joints that turn, the whole person's first, and whose vertices' outline counts."""
         if part == "body":
-            return np.asarray(MOVING), np.ones(len(self.heaviest), bool)
+            return np.asarray(MOVING), np.ones(len(self.surface.vertices), bool)
         turning = np.zeros(0, np.int64) if part == "head" else hand_joints(part.removeprefix("hand_"))
-        return np.unique(np.r_[0, turning]), DESCENDS[self.heaviest, JOINTS.index(TOPS[part])]
+        return np.unique(np.r_[0, turning]), DESCENDS[self.surface.skin.heaviest, JOINTS.index(TOPS[part])]
 
     def _draw(self, frame: Posed, camera: Camera) -> _Drawn:
         posed = skin_points(self.surface.vertices, self.surface.skin, frame.transforms)

@@ -1,7 +1,6 @@
 """`selfscan check`: is this capture usable?"""
 
 import io
-import json
 from pathlib import Path
 
 from PIL import Image
@@ -17,7 +16,7 @@ from capture.check.verdict import Verdict, verdict
 from capture.folder import Capture, read_capture
 from capture.raw.four_videos import holds_videos
 from command.errors import AssetError
-from files.whole import check_file, check_folder, whole_file
+from files.whole import check_file, check_folder, whole_file, write_json
 
 
 def check_capture(arguments: CheckCommand) -> int:
@@ -52,8 +51,7 @@ def check_capture(arguments: CheckCommand) -> int:
             write_face(out / "face.png", capture, report.face)
             print(f"{out / 'face.png'}: the face at 512 pixels, as the head's video shows it")
     for path in files:
-        with whole_file(path, "w") as file:
-            json.dump(facts, file, indent=1)
+        write_json(path, facts)
     return 0 if judged.usable else 1
 
 
@@ -68,8 +66,7 @@ def _check_videos(arguments: CheckCommand) -> int:
         arguments.out.mkdir(exist_ok=True)
         files.append(arguments.out / "check.json")
     for path in files:
-        with whole_file(path, "w") as file:
-            json.dump(facts, file, indent=1)
+        write_json(path, facts)
     return 0 if usable(judged) else 1
 
 

@@ -85,8 +85,7 @@ def unseen_places(
     area = area if visible is None else area * visible
     facing = _sides(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-12))
     missed = (frames < ENOUGH)[faces].mean(1)
-    heaviest = np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0]
-    joint = heaviest[faces[:, 0]]
+    joint = skin.heaviest[faces[:, 0]]
     found = []
     for name, (left, right, one, both) in LIMBS.items():
         for number, (side, (_, singular, plural, advice)) in enumerate(SIDES.items()):

@@ -14,7 +14,7 @@ that are all too large are no error of a pose.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -184,9 +184,8 @@ def _view(scene: _Scene, f: int, R: Array, root: Array, *, slide: bool) -> _Draw
     size = np.array(camera.size)
     if slide:
         # the picture in the middle of a canvas three times as large
-        K = camera.K.copy()
-        K[:2, 2] += size
-        camera = replace(camera, K=K, size=(3 * camera.size[0], 3 * camera.size[1]))
+        width, height = camera.size
+        camera = camera.cropped(-width, -height, (3 * width, 3 * height))
     drawn = rasterise(posed, subject.faces, camera)
     outline, shown = pixel_contour(drawn.face >= 0), (drawn.face >= 0) & scene.near[drawn.face]
     x, y = outline.at.astype(int).T

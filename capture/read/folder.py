@@ -1,6 +1,5 @@
 """The capture folder, written whole from videos, cameras and poses of other formats (docs/formats.md)."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from command.errors import AssetError
 from command.progress import Progress
 from files.input_file import name_order
 from files.picture import read_picture
-from files.whole import whole_file, whole_folder
+from files.whole import whole_file, whole_folder, write_json
 
 Array = np.ndarray
 
@@ -77,8 +76,7 @@ def write_capture(
                 report.update(done, part)
             write_cameras(folder / part / "cameras.npz", video.cameras)
             if video.axis_angle is None or video.root is None:
-                with whole_file(folder / part / "landmarks.json", "w") as file:
-                    json.dump(landmarks, file, indent=1)
+                write_json(folder / part / "landmarks.json", landmarks)
                 continue
             with whole_file(folder / part / "poses.npz") as file:
                 np.savez(
@@ -90,8 +88,7 @@ def write_capture(
             "parts": list(PARTS), "frames": {part: len(videos[part].images) for part in PARTS},
             "size": {part: list(videos[part].cameras[0].size) for part in PARTS}, **facts,
         }  # fmt: skip
-        with whole_file(folder / "capture.json", "w") as file:
-            json.dump(content, file, indent=1)
+        write_json(folder / "capture.json", content)
         try:
             read_capture(folder)
         except AssetError as error:

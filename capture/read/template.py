@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from avatar.body import Body
 from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, PARTS, RIGHT_HAND
@@ -47,8 +48,7 @@ def part_of(skin: SkinWeights) -> UInt8[Array, "vertices"]:
     part_of_joint[JOINTS.index("head")] = PARTS.index("head")
     part_of_joint[LEFT_HAND] = part_of_joint[JOINTS.index("left_wrist")] = PARTS.index("hand_left")
     part_of_joint[RIGHT_HAND] = part_of_joint[JOINTS.index("right_wrist")] = PARTS.index("hand_right")
-    strongest = np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0]
-    return part_of_joint[strongest]
+    return part_of_joint[skin.heaviest]
 
 
 def check_height(place: str, vertices: Float[Array, "vertices 3"]) -> None:
@@ -62,19 +62,26 @@ def check_height(place: str, vertices: Float[Array, "vertices 3"]) -> None:
         )
 
 
-def write_template(path: Path, template: TemplateMesh) -> None:
-    """Write subject.npz. Where hair is, no source says: no vertex is marked."""
-    fields = {
+def write_template(
+    path: Path,
+    template: TemplateMesh,
+    hair: Bool[Array, "vertices"] | None = None,
+    eyes: Float[Array, "2 4"] | None = None,
+) -> None:
+    """Write subject.npz; no vertex is marked as hair, and no eye is placed, where the source does not say."""
+    fields: dict[str, Any] = {
         "v_template": template.vertices.astype(np.float64),
         "faces": template.faces.astype(np.int32),
         "skin_joints": template.skin.joints.astype(np.uint8),
         "skin_weights": template.skin.weights.astype(np.float32),
         "joints": template.joints.astype(np.float64),
         "parents": PARENTS,
-        "hair": np.zeros(len(template.vertices), bool),
+        "hair": np.zeros(len(template.vertices), bool) if hair is None else hair,
         "part": template.part,
     }
     if template.uv is not None and template.uv_faces is not None:
         fields |= {"uv": template.uv, "uv_faces": template.uv_faces}
+    if eyes is not None:
+        fields["eyes"] = eyes
     with whole_file(path) as file:
         np.savez_compressed(file, **fields)

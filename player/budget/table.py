@@ -16,7 +16,7 @@ from pathlib import Path
 
 from command.errors import AssetError
 from command.progress import progress
-from files.whole import whole_file
+from files.whole import write_json
 from player.budget.ladder import PricedRung, at_quality, best_within, scene_rungs
 from player.budget.measure import BudgetScene, check, price
 from player.budget.rung import Rung
@@ -103,5 +103,4 @@ def write_table(path: Path, priced: Sequence[PricedRung]) -> None:
     rows = [{"name": one.rung.name} | {k: v for k, v in asdict(one).items() if k != "rung"} for one in priced]
     with contextlib.suppress(OSError, AssetError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path, "w") as file:
-            json.dump({"measured": time.time(), "rungs": rows}, file, indent=1)
+        write_json(path, {"measured": time.time(), "rungs": rows})

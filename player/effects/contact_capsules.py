@@ -88,10 +88,9 @@ def capsules_of(avatar: Avatar, level: Level) -> Capsules:
     starts = np.array([at[a] for a, _ in BONES])
     ends = np.array([at[b] if b != a else at[a] + [0.0, CROWN, 0.0] for a, b in BONES])
     points, normals = level.positions.astype(np.float64), level.normals.astype(np.float64)
-    heaviest = np.take_along_axis(level.joints, level.weights.argmax(1)[:, None], 1)[:, 0]
-    radii = np.zeros(len(BONES))
+    owner, radii = OWNERS[level.skin.heaviest], np.zeros(len(BONES))
     for k in range(len(BONES)):
-        mine = points[OWNERS[heaviest] == k]
+        mine = points[owner == k]
         if len(mine):
             radii[k] = np.percentile(np.linalg.norm(mine - _nearest(mine, starts[k], ends[k]), axis=1), WITHIN)
     spared = _spared(level)

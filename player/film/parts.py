@@ -16,7 +16,7 @@ from typing import Any
 
 from command.errors import AssetError
 from files.input_file import read_json_object
-from files.whole import check_folder, whole_file
+from files.whole import check_folder, write_json
 from player.film.film import VIDEO, film_kind
 
 # frames of a part: eight seconds at 30 a second, and as far apart as key frames may be
@@ -86,8 +86,7 @@ class Parts:
             self.discard()
         check_folder(self.folder)
         self.folder.mkdir(exist_ok=True)
-        with whole_file(mark, "w") as file:
-            json.dump({"format": "selfscan-film-parts", "film": self._film()}, file, indent=1)
+        write_json(mark, {"format": "selfscan-film-parts", "film": self._film()})
 
     def discard(self) -> None:
         """Remove the parts, and their folder if nothing else is in it."""

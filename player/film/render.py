@@ -1,6 +1,5 @@
 """Rendering: from what a command asks for to a picture, frames or a film."""
 
-import json
 import math
 import sys
 import time
@@ -16,7 +15,7 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from command.errors import AssetError, missing_package
 from command.progress import Progress, plural, progress
-from files.whole import check_file, check_folder, whole_file
+from files.whole import check_file, check_folder, write_json
 from player.budget.ladder import choice_words
 from player.budget.measure import BudgetScene
 from player.budget.rung import Rung
@@ -309,5 +308,4 @@ def print_passes(renderer: Renderer, json_path: str | None) -> None:
         cost = f"{row['ms']:8.2f} ms {row['bytes'] / 1e6:8.2f} MB"
         print(f"  {row['name']:24} {row['state']:13} {cost}  {row['why']}")
     if json_path:
-        with whole_file(Path(json_path), "w") as file:
-            json.dump({"passes": rows}, file, indent=1)
+        write_json(Path(json_path), {"passes": rows})

@@ -21,7 +21,7 @@ class Patches:
     """
 
     def __init__(self, level: Level):
-        heaviest = np.take_along_axis(level.joints, level.weights.argmax(1)[:, None], 1)[:, 0]
+        heaviest = level.skin.heaviest
         centers, radii, joints, first = [], [], [], []
         waiting = [np.flatnonzero(heaviest == joint) for joint in np.unique(heaviest)]
         while waiting:

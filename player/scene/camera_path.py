@@ -9,7 +9,6 @@ A key is an eye that looks at a target (world, metres; `fov_deg` vertical, 35 if
 content of a camera file, which the path passes through exactly.
 """
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from jaxtyping import Float
 from avatar.camera import LARGEST, Camera, checked_camera, look_at
 from command.errors import AssetError
 from files import input_file
-from files.whole import whole_file
+from files.whole import write_json
 from player.scene.framing import FOV
 
 Array = np.ndarray
@@ -129,8 +128,7 @@ class CameraPath:
                 row |= {"size": [1000, 1000], "K": camera.K.tolist()}
                 row["camera_from_world"] = camera.camera_from_world.tolist()
             rows.append(row)
-        with whole_file(path, "w") as file:
-            json.dump({"keys": rows}, file, indent=1)
+        write_json(path, {"keys": rows})
 
 
 def is_path(path: Path | str) -> bool:

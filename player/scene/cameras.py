@@ -181,6 +181,4 @@ def inner_box(image: tuple[int, int], size: tuple[int, int]) -> tuple[float, flo
 
 def moved_into(camera: Camera, area: tuple[int, int, int, int], size: tuple[int, int]) -> Camera:
     """A camera for the area (left, top, width, height) as a camera for the whole window."""
-    K = camera.K.copy()
-    K[:2, 2] += area[:2]
-    return Camera(K, camera.camera_from_world, size)
+    return camera.cropped(-area[0], -area[1], size)

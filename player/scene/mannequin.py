@@ -68,7 +68,7 @@ def clothed(sex: str = "male", *, texture: int = 1024) -> Avatar:
     a little darker where it faces down."""
     body = mannequin(sex)
     level, colors = body.levels[0], CLOTHES[sex] | {"shoes": (38, 36, 38)}
-    heaviest = np.take_along_axis(level.joints, level.weights.argmax(1)[:, None], 1)[:, 0]
+    heaviest = level.skin.heaviest
     names = [next((what for what, first in WORN.items() if name.startswith(first)), "skin") for name in JOINTS]
     paint = np.array([colors[names[joint]] for joint in heaviest], np.float64)
     # where the scalp is, in the pose of the mesh

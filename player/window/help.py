@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
 
-from files.whole import whole_file
+from files.whole import write_text
 from player.window.actions import GROUPS, MOUSE, MOUSE_ON_VIDEO, POSING, VIDEO, KeyGroup
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -71,8 +71,7 @@ def main() -> None:
     for name, groups in TABLES.items():
         path = DOCS / name
         text = with_table(path.read_text("utf-8"), groups)
-        with whole_file(path, "w") as file:
-            file.write(text)
+        write_text(path, text)
 
 
 if __name__ == "__main__":

@@ -164,7 +164,7 @@ def _points(subject: SynthSubject) -> list[_Point]:
     """BODY_25, two hands and the face, in OpenPose's order."""
     joints = subject.joints.astype(np.float64)
     points = subject.vertices.astype(np.float64)
-    strongest = np.take_along_axis(subject.skin.joints, subject.skin.weights.argmax(1)[:, None], 1)[:, 0]
+    strongest = subject.skin.heaviest
     face = _face_places(subject)
     out = []
     for name in (*BODY_25, *hand_points("left"), *hand_points("right"), *FACE):

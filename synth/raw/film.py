@@ -9,8 +9,9 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 
 from avatar.camera import Camera, project
-from command.progress import Progress
+from command.progress import progress
 from player.film.encoder import X264, encode
+from synth.film import write_frames
 from synth.light import StudioLight
 from synth.options import RawConfig
 from synth.photo import Studio
@@ -42,25 +43,13 @@ def film_raw(
     """Write the four videos, their keypoints and, in truth/, what is hidden from other stages; returns the shots."""
     wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
     plan = plan_raw_videos(studio, wide, config.seconds, RATE, config.sway, seed)
-    report = Progress("filming", sum(len(shots.root) for shots in plan.values()))
-    truth = folder / "truth"
-    done = 0
     for number, (part, shots) in enumerate(plan.items()):
-        (truth / part / "masks").mkdir(parents=True)
+        truth = folder / "truth" / part
+        (truth / "masks").mkdir(parents=True)
         frames = _frames(folder, studio, shots, lights[part], config, [seed, number])
-
-        def reported(frames: Iterator[Array] = frames, part: str = part) -> Iterator[Array]:
-            nonlocal done
-            for frame in frames:
-                yield frame
-                done += 1
-                report.update(done, part)
-
-        encode(str(folder / FILES[part]), ".mp4", X264, reported(), wide, RATE)
-        np.savez_compressed(
-            truth / part / "video.npz", poses=shots.axis_angle, root=shots.root, present=shots.present,
-            K=shots.camera.K, camera_from_world=shots.camera.camera_from_world, size=np.array(wide),
-        )  # fmt: skip
+        frames = progress(frames, f"filming {part}", len(shots.root))
+        encode(str(folder / FILES[part]), ".mp4", X264, frames, wide, RATE)
+        write_frames(truth / "video.npz", shots.axis_angle, shots.root, shots.camera, shots.present)
     return plan
 
 
@@ -111,9 +100,7 @@ def taken(
     if box is None:
         return picture, coverage
     x0, y0, x1, y1 = box
-    K = shots.camera.K.copy()
-    K[:2, 2] -= x0, y0
-    camera = Camera(K, shots.camera.camera_from_world, (x1 - x0, y1 - y0))
+    camera = shots.camera.cropped(x0, y0, (x1 - x0, y1 - y0))
     exposed = studio.expose(vertices, camera, light, 0.0, lit)
     share = exposed.coverage[..., None]
     picture[y0:y1, x0:x1] = exposed.color + (1 - share) * picture[y0:y1, x0:x1]

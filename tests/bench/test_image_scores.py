@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bench.score.metrics import flip, psnr, rectangle, ssim
+from avatar.psnr import error_between
+from bench.score.metrics import flip, rectangle, ssim
 
 RNG = np.random.default_rng(7)
 
@@ -15,7 +16,7 @@ def noisy(image, sigma, seed=0):
 def test_scores_order_images_by_their_noise():
     image = RNG.random((64, 64, 3))
     levels = [noisy(image, sigma) for sigma in (0.02, 0.08, 0.25)]
-    assert np.all(np.diff([psnr(image, x).value for x in levels]) < 0)
+    assert np.all(np.diff([error_between(image, x).psnr() for x in levels]) < 0)
     assert np.all(np.diff([ssim(image, x).value for x in levels]) < 0)
     assert np.all(np.diff([flip(image, x).value for x in levels]) > 0)
 

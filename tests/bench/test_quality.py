@@ -26,7 +26,7 @@ KEYS = {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}
 @pytest.fixture(scope="session")
 def result(oracle):
     capture, avatar, _ = oracle
-    return evaluate(avatar, capture, few=1)
+    return evaluate(avatar, capture)
 
 
 @pytest.mark.parametrize("region", ["head", "left_hand", "right_hand", "hands", "total"])
@@ -37,13 +37,6 @@ def test_a_perfect_avatar_has_no_distance_and_near_perfect_pictures(result, regi
     assert novel["p2s_cm"] < 0.03 and novel["chamfer_cm"] < 0.03
     assert novel["psnr_db"] > 30 and novel["ssim"] > 0.95 and novel["flip"] < 0.05
     assert novel["lpips"] is None and "weights" in novel["reasons"]["lpips"]
-
-
-def test_the_few_poses_are_scored_by_themselves(result):
-    # pose 0 is the only one of the set that is not the T-pose, so its scores are the set's
-    assert result["few_poses"]["poses"] == 1
-    for region in ("head", "hands", "total"):
-        assert result["few_poses"][region] == result["novel_pose"][region]
 
 
 def test_t_pose_frames_are_apart_from_novel_poses_but_are_the_novel_views(result):

@@ -13,8 +13,8 @@ from PIL import Image
 
 from avatar.baked_avatar import Avatar
 from avatar.texture import bytes_of
+from bench.report.rung_page import RUNG_COLUMNS
 from bench.report.writer import Json
-from bench.score.metrics import RUNG_METRICS
 from player.budget.rung import Rung, with_halved_textures
 from player.scene.motions import motion_for
 from player.web.packing import packed_avatar, packed_motion
@@ -56,11 +56,7 @@ def frontier_page(result: Json, pictures: PagePictures, avatar: Avatar, rungs: S
         "picture": picture_facts(pictures),
         "references": references(result, pictures),
         "enlarged": ENLARGED,
-        "metrics": [
-            {"key": m.key, "title": m.title, "digits": m.digits, "better": m.better}
-            for m in RUNG_METRICS
-            if m.key != "flip"
-        ],
+        "columns": [column._asdict() for column in RUNG_COLUMNS],
         "player": None,
         "halvings": 0,
     }

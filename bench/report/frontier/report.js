@@ -230,10 +230,9 @@ class Report {
   }
 
   table() {
-    const { metrics } = this.facts;
-    const head = ["rung", "ms (95 %)", "p95", "here ms", "FLIP", "head", "hands", "flicker", ...metrics.map(({ title }) => title), "start ms", "MB", ""];
-    const number = (value, digits) => (value === null || value === undefined ? "" : value.toFixed(digits));
-    const part = (row, name) => number(row.parts && row.parts[name] && row.parts[name].flip, 4);
+    const { columns } = this.facts, head = ["rung", "ms (95 %)", "here ms", ...columns.map(({ title }) => title), ""];
+    const number = (value, digits = 2, scale = 1) => (value === null || value === undefined ? "" : (scale * value).toFixed(digits));
+    const held = (row, path) => path.reduce((value, key) => value && value[key], row);
     const line = (cells, kind) => {
       const made = document.createElement("tr");
       made.append(...cells.map((cell) => Object.assign(document.createElement(kind), { textContent: cell })));
@@ -241,15 +240,14 @@ class Report {
     };
     const rows = this.all.map((row) => {
       const here = this.here.get(row.name);
-      const made = line([row.name, `${number(row.ms_median, 2)} (${number(row.low, 2)} to ${number(row.high, 2)})`,
-        number(row.ms_p95, 2), here ? number(here.ms, 2) : "", number(row.flip, 4), part(row, "head"), part(row, "hands"),
-        number(row.flicker, 2), ...metrics.map(({ key, digits }) => number(row[key], digits)),
-        number(row.start_ms, 0), number(row.bytes / 1e6, 1), row.dominated ? `dominated by ${row.dominated_by}` : ""], "td");
+      const made = line([row.name, `${number(row.ms_median)} (${number(row.low)} to ${number(row.high)})`, number(here && here.ms),
+        ...columns.map(({ path, digits, scale }) => number(held(row, path), digits, scale)),
+        row.dominated ? `dominated by ${row.dominated_by}` : ""], "td");
       made.addEventListener("click", () => this.setBudget((this.chart.rows.find((own) => own.name === row.name) || row).ms * 1.0001, row));
       return made;
     });
     const titles = line(head, "th");
-    for (const { title, better } of metrics) titles.children[head.indexOf(title)].title = `${better} is better`;
+    for (const { title, better } of columns) if (better) titles.children[head.indexOf(title)].title = `${better} is better`;
     find("rows").replaceChildren(titles, ...rows);
   }
 
