@@ -17,8 +17,8 @@ BUDGET = {
     "bake": 4_510,
     "player": 19_220,
     "shaders": 1_040,
-    "synth": 2950,
-    "bench": 6490,
+    "synth": 2850,
+    "bench": 6180,
     "selfscan": 400,
     "tests": 37_590,
 }
