@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from avatar.baked_avatar import Avatar
 from avatar.body import Body
+from avatar.rotation import fibonacci_sphere
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights
 
@@ -36,8 +37,7 @@ class BodyHull(NamedTuple):
 def hull_of(avatar: Avatar) -> BodyHull:
     """The outer points of an avatar's finest level, which every reading of a file has."""
     level = avatar.levels[0]
-    skin = SkinWeights(level.joints, level.weights.astype(np.float32) / 255)
-    return _hull(level.positions, skin, avatar.joint_positions, avatar.canonical_pose)
+    return _hull(level.positions, level.skin, avatar.joint_positions, avatar.canonical_pose)
 
 
 def body_hull(body: Body) -> BodyHull:
@@ -53,8 +53,7 @@ def _hull(points: Array, skin: SkinWeights, joints: Array, rest: Array) -> BodyH
         if len(mine):
             chosen.append(mine[outermost(points[mine], DIRECTIONS)])
     outer = np.concatenate(chosen)
-    own = SkinWeights(skin.joints[outer].astype(np.int64), skin.weights[outer])
-    return BodyHull(points[outer], own, joints.astype(np.float64), rest.astype(np.float64))
+    return BodyHull(points[outer], skin.of(outer), joints.astype(np.float64), rest.astype(np.float64))
 
 
 def posed_hull(
@@ -96,10 +95,7 @@ def lowest_points(
 
 def outermost(points: Float[Array, "points 3"], directions: int = 512) -> Int[Array, "outer"]:
     """Indices of the points farthest along each of so many directions, spread evenly over the sphere."""
-    n = np.arange(directions) + 0.5
-    height, turn = 1 - 2 * n / directions, np.pi * (1 + 5**0.5) * n
-    flat = np.sqrt(1 - height * height)
-    along = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)], 1)
+    along = fibonacci_sphere(directions)
     farthest, reached = np.zeros(directions, np.int64), np.full(directions, -np.inf)
     # a film's points by 512 directions would be a gigabyte
     for first in range(0, len(points), CHUNK):

@@ -207,6 +207,14 @@ def palm_frame(along: Float[Array, "*b 3"], across: Float[Array, "*b 3"]) -> Flo
     return np.stack([x, np.cross(z, x), z], -1)
 
 
+def fibonacci_sphere(count: int) -> Float[Array, "count 3"]:
+    """Unit directions spread evenly over the sphere (the golden spiral)."""
+    i = np.arange(count) + 0.5
+    y, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
+    r = np.sqrt(1 - y * y)
+    return np.stack([r * np.cos(angle), y, r * np.sin(angle)], 1)
+
+
 def axis_name(direction: Float[Array, "3"]) -> str:
     """ "+x", "-z" ...: the axis that a direction lies along."""
     axis = int(np.argmax(np.abs(direction)))

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.bend import BEND_JOINTS, BENDS, Bend
 from avatar.gltf.avatar_write import canonical_bones, helper_joints
+from avatar.kinematics import DESCENDS
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
 from avatar.skinning import SkinWeights, skin_points
 from avatar.twist import TWIST_JOINTS
+from geometry.mesh import connected
 
 Array = np.ndarray
 
@@ -45,7 +45,7 @@ def bend_skin(
     held = level.weights.astype(np.float64) / 255
     for name, bend in BENDS.items():
         own = len(JOINTS) + len(TWIST_JOINTS) + BEND_JOINTS.index(f"{name}_bend1")
-        w = (held * below(bend.joint)[level.joints]).sum(1)
+        w = (held * DESCENDS[level.joints, bend.joint]).sum(1)
         half = 255 * w * (1 - w) * _outer(level.positions, name, bend, canonical, joints_rest)
         at, before = (_slots(level, joint) for joint in (bend.joint, int(PARENTS[bend.joint])))
         moved = (at >= 0) & (half > 0)
@@ -91,7 +91,7 @@ def with_room(level: Level) -> Level:
     joints, weights = level.joints.copy(), level.weights.copy()
     held = level.weights.astype(np.float64) / 255
     for bend in BENDS.values():
-        w = (held * below(bend.joint)[level.joints]).sum(1)
+        w = (held * DESCENDS[level.joints, bend.joint]).sum(1)
         # up to a half the bend joint takes all of w
         rows = np.flatnonzero((w > 0.5) & (w < 1) & (_slots(level, bend.joint) >= 0) & (weights > 0).all(1))
         others = np.where(level.joints[rows] == bend.joint, 0, weights[rows].astype(np.int64))
@@ -174,7 +174,7 @@ def flesh(
         return np.linalg.norm(away, axis=1) < reach
     along = joints[bend.child] - joints[bend.joint]
     level = avatar.levels[0]
-    of_limb = (level.weights * below(int(PARENTS[bend.joint]))[level.joints]).sum(1, dtype=np.int64) > 127
+    of_limb = (level.weights * DESCENDS[level.joints, PARENTS[bend.joint]]).sum(1, dtype=np.int64) > 127
     return of_limb & (np.abs(away @ along) < reach * np.linalg.norm(along))
 
 
@@ -190,8 +190,7 @@ class Piece:
         # an edge whose other side is no face of the piece
         cut = ~np.isin(a * len(positions) + b, b * len(positions) + a)
         if cut.any():
-            graph = coo_matrix((np.ones(cut.sum()), (a[cut], b[cut])), shape=(len(positions), len(positions)))
-            rim = connected_components(graph, directed=False)[1][a[cut]]
+            rim = connected(np.stack([a[cut], b[cut]], 1), len(positions))[a[cut]]
             self._rims = [edges[cut][rim == number] for number in np.unique(rim)]
 
     def volume(self, points: Float[Array, "vertices 3"]) -> float:
@@ -202,12 +201,3 @@ class Piece:
             corners.append(np.stack([points[rim[:, 1]], points[rim[:, 0]], np.broadcast_to(middle, (len(rim), 3))], 1))
         a, b, c = (np.concatenate(corners) - points.mean(0)).transpose(1, 0, 2)
         return float(np.einsum("fc,fc->", a, np.cross(b, c))) / 6
-
-
-def below(joint: int) -> Bool[Array, "52"]:
-    """Which joints a joint carries, itself among them."""
-    out = np.zeros(len(JOINTS), bool)
-    out[joint] = True
-    for k in range(joint + 1, len(JOINTS)):
-        out[k] = out[PARENTS[k]]
-    return out

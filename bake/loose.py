@@ -7,14 +7,12 @@ it. Hands and feet hold nothing loose: gloves and heels are no skirts. Islets ar
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Integer
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from avatar.skeleton import JOINTS
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
-from geometry.mesh import face_areas
+from geometry.mesh import component_labels, face_areas
 
 # metres off the template's vertices, which are a centimetre or two apart
 NEAR, FAR = 0.03, 0.09
@@ -42,8 +40,7 @@ def looseness(
 def bare_template(subject: CaptureSubject) -> Float[np.ndarray, "vertices 3"]:
     """Vertices of the template without carved hair and clothes, which were joined behind the body's own: the body is
     the piece that the most joints move."""
-    count, faces = len(subject.vertices), np.asarray(subject.faces, np.int64)
-    piece = _pieces(count, faces)
+    piece = component_labels(subject.faces, len(subject.vertices))
     moved = np.unique(np.stack([piece, subject.skin.heaviest], 1), axis=0)[:, 0]
     body = np.bincount(moved).argmax()
     return np.asarray(subject.vertices, np.float64)[: int(np.flatnonzero(piece == body)[-1]) + 1]
@@ -58,12 +55,6 @@ def in_large_pieces(
     _, place = np.unique(np.asarray(positions, np.float32), axis=0, return_inverse=True)
     place = place.reshape(-1)
     whole = faces[chosen[faces].all(1)].astype(np.int64)
-    piece = _pieces(int(place.max()) + 1, place[whole])[place]
+    piece = component_labels(place[whole], int(place.max()) + 1)[place]
     area = np.bincount(piece[whole[:, 0]], face_areas(positions, whole), minlength=int(piece.max()) + 1)
     return chosen & (area[piece] >= LEAST)
-
-
-def _pieces(count: int, faces: Integer[np.ndarray, "faces 3"]) -> Integer[np.ndarray, "count"]:
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    return connected_components(graph, directed=False)[1]

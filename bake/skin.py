@@ -2,12 +2,10 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from geometry.closest import Match
 from geometry.harmonic import fill_harmonic
-from geometry.mesh import component_labels, half_edges
+from geometry.mesh import component_labels, connected, half_edges
 
 # the limb a joint moves: torso and head, each leg, each arm, each finger
 LIMBS = np.array([0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 3, 4, 0, 3, 4, 3, 4, 3, 4, *np.repeat(np.arange(5, 15), 3)])
@@ -21,11 +19,9 @@ def detached_vertices(
     limb = np.stack([weights[:, k == LIMBS].sum(1) for k in range(LIMBS.max() + 1)], 1).argmax(1)
     pair = half_edges(faces)
     pair = pair[limb[pair[:, 0]] == limb[pair[:, 1]]]
-    count = len(weights)
-    graph = coo_matrix((np.ones(len(pair), np.int8), (pair[:, 0], pair[:, 1])), shape=(count, count))
-    piece = connected_components(graph, directed=False)[1]
+    piece = connected(pair, len(weights))
     size = np.bincount(piece)
-    _, owner = np.unique(limb + (LIMBS.max() + 1) * component_labels(faces, count), return_inverse=True)
+    _, owner = np.unique(limb + (LIMBS.max() + 1) * component_labels(faces, len(weights)), return_inverse=True)
     largest = np.zeros(owner.max() + 1, np.int64)
     np.maximum.at(largest, owner, size[piece])
     return size[piece] < largest[owner]

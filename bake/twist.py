@@ -8,9 +8,10 @@ from jaxtyping import Float, UInt8
 
 from avatar.baked_avatar import Avatar, Level, TwistSkin
 from avatar.bend import BENDS
+from avatar.kinematics import DESCENDS
 from avatar.skeleton import JOINTS, joint_transforms
 from avatar.twist import SEGMENTS, Segment
-from bake.bend import below, bend_skin, fitted_push, with_room
+from bake.bend import bend_skin, fitted_push, with_room
 
 Array = np.ndarray
 
@@ -81,10 +82,9 @@ def _place(level: Level, segment: Segment, at: Float[Array, "52 3"]) -> Float[Ar
     if length2 < 1e-12:
         return np.zeros(len(level.positions))
     share = (level.positions.astype(np.float64) - at[segment.joint]) @ along / length2
-    beyond = below(segment.child)
     held = level.weights.astype(np.float64) / 255
     own = (held * (level.joints == segment.joint)).sum(1)
-    behind = (held * beyond[level.joints]).sum(1)
+    behind = (held * DESCENDS[level.joints, segment.child]).sum(1)
     before = 1 - own - behind
     start, end = share[(before > NOTICED) & (own > NOTICED)], share[(behind > NOTICED) & (own > NOTICED)]
     low = float(np.clip(np.percentile(start, 100 - STRAY), 0, 1)) if len(start) else 0.0

@@ -6,13 +6,19 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, generate_binary_structure, label
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from command.errors import AssetError
-from geometry.mesh import TriangleMesh, concatenated, enclosed_volume, face_areas, largest_component, separate_pieces
+from geometry.mesh import (
+    TriangleMesh,
+    concatenated,
+    connected,
+    enclosed_volume,
+    face_areas,
+    largest_component,
+    separate_pieces,
+)
 
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
@@ -350,6 +356,4 @@ def _clusters(points: Float[np.ndarray, "n 3"], cell: float = 0.03) -> Integer[n
     index = {tuple(key): i for i, key in enumerate(keys)}
     offsets = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
     edges = [(i, index[t]) for i, key in enumerate(keys) for o in offsets if (t := tuple(key + o)) in index]
-    rows, columns = np.array(edges).T
-    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, columns)), shape=(len(keys), len(keys)))
-    return connected_components(graph, directed=False)[1][owner]
+    return connected(np.array(edges), len(keys))[owner]

@@ -85,11 +85,15 @@ def neighbour_matrix(faces: Integer[Array, "faces 3"], count: int) -> sparse.csr
     return sparse.csr_matrix(matrix)
 
 
+def connected(pairs: Integer[Array, "pairs 2"], count: int) -> Integer[Array, "count"]:
+    """Which of `count` things hang together by pairs of them: the number of each one's group, from 0."""
+    graph = sparse.coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
+
+
 def component_labels(faces: Integer[Array, "faces 3"], count: int) -> Integer[Array, "vertices"]:
     """Connected component of every vertex, numbered from 0; one that no face names is a component of its own."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    graph = sparse.coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    return connected_components(graph, directed=False)[1]
+    return connected(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]]), count)
 
 
 def compact(

@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Integer
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from command.errors import AssetError
-from geometry.mesh import TriangleMesh, half_edges, largest_component
+from geometry.mesh import TriangleMesh, connected, half_edges, largest_component
 
 
 class Fault(NamedTuple):
@@ -56,10 +54,8 @@ def _fans(faces: Integer[np.ndarray, "faces 3"], count: int) -> Integer[np.ndarr
     order = np.argsort(key, kind="stable")
     same = np.flatnonzero(key[order][1:] == key[order][:-1])
     left, right = order[same], order[same + 1]
-    rows = np.concatenate([low[left], high[left]])
-    columns = np.concatenate([low[right], high[right]])
-    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, columns)), shape=(faces.size, faces.size))
-    return connected_components(graph, directed=False)[1]
+    pairs = np.stack([np.concatenate([low[left], high[left]]), np.concatenate([low[right], high[right]])], 1)
+    return connected(pairs, faces.size)
 
 
 def _split_count(faces: Integer[np.ndarray, "faces 3"], count: int) -> int:

@@ -75,12 +75,3 @@ def stratified_samples(
     beyond = u + v > 1
     u[beyond], v[beyond] = 1 - u[beyond], 1 - v[beyond]
     return SurfaceSamples(face.astype(np.int64), np.stack([1 - u - v, u, v], 1))
-
-
-def fibonacci_sphere(count: int) -> Float[Array, "count 3"]:
-    """Unit directions spread evenly over the sphere (the golden spiral)."""
-    i = np.arange(count) + 0.5
-    y = 1 - 2 * i / count
-    angle = np.pi * (1 + 5**0.5) * i
-    r = np.sqrt(1 - y * y)
-    return np.stack([r * np.cos(angle), y, r * np.sin(angle)], 1)

@@ -17,10 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from avatar.camera import Camera, look_at, project
-from avatar.rotation import nearest_rotation
+from avatar.rotation import fibonacci_sphere, nearest_rotation
 from avatar.texture import linear_from_srgb, srgb_from_linear
 from geometry.mesh import neighbour_matrix, vertex_normals
-from geometry.sample import fibonacci_sphere
 from player.draw.raster import Rasteriser
 
 Array = np.ndarray

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from avatar.camera import Camera, look_at, project
-from geometry.sample import fibonacci_sphere
+from avatar.rotation import fibonacci_sphere
 from player.draw.raster import Fragments, Rasteriser
 
 # orthographic directions from which a face may be seen (FRAMES.md, Evaluation)

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from avatar.light import CaptureLight
+from avatar.rotation import fibonacci_sphere
 from avatar.skeleton import JOINTS, PARTS, skin_transforms
 from capture.folder import Capture
 from capture.light.frames import light_from_video
@@ -116,7 +117,7 @@ def seen_light(capture: Capture, part: str, video: VideoLight) -> SeenLight:
     # towards the eye, along the optical axis
     axes = np.stack([camera.camera_from_world[2, :3] for camera in of.cameras])
     eyes = -np.einsum("fij,fj->fi", light_from_video(capture, part, video.light.frame), axes)
-    normals = _sphere(400)
+    normals = fibonacci_sphere(400)
     sums = np.zeros((3, len(normals)))
     for turn, eye in zip(turns, eyes, strict=True):
         n = normals @ turn.T
@@ -197,11 +198,3 @@ def harmonics(n: Any) -> Any:
              z * y * (3 * xx - yy), (xx - yy) * (7 * zz - 1), x * y * (7 * zz - 1), x * z * (7 * zz - 3),
              y * z * (7 * zz - 3), 35 * zz * zz - 30 * zz + 3]  # fmt: skip
     return torch.stack(terms, -1) if isinstance(n, Tensor) else np.stack(terms, -1)
-
-
-def _sphere(count: int) -> Float[Array, "n 3"]:
-    """Points evenly over the sphere (Fibonacci's spiral)."""
-    i = np.arange(count) + 0.5
-    z, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], 1)

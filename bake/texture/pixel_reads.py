@@ -177,7 +177,7 @@ def atlas_mesh(level: Level, joints: Float[Array, "52 3"]) -> AtlasMesh:
     covered.reshape(-1)[texels.index] = True
     row = np.full((size, size), -1, np.int32)
     row.reshape(-1)[texels.index] = np.arange(len(texels.index), dtype=np.int32)
-    skin = SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / 255)
+    skin = level.skin
     return AtlasMesh(
         level.positions.astype(np.float64),
         level.normals.astype(np.float64),

@@ -7,9 +7,9 @@ is asked, so every machine gets the same numbers.
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from avatar.rotation import fibonacci_sphere
 from experiments.builtin.refine import TexturedMesh, smoothed
 from geometry.mesh import vertex_normals
-from geometry.sample import fibonacci_sphere
 
 Array = np.ndarray
 

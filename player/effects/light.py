@@ -16,13 +16,14 @@ import numpy as np
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
 from avatar.light import LAMPS, CaptureLight, lamps_of
+from avatar.rotation import fibonacci_sphere
 from command.progress import plural
 from command.settings import AtLeast, AtMost, FilePlace, OneOf, settings
 from player.draw.plan import Attributes, Draft, Pass, Stage
 from player.draw.resources import Handle
 from player.effects.background import Background, opened_source
 from player.effects.background_source import read_panorama
-from player.effects.panorama_light import fitted_light, gains_of, irradiance, linear_mean, sphere
+from player.effects.panorama_light import fitted_light, gains_of, irradiance, linear_mean
 from player.gl.shader import set_uniforms
 
 KINDS = ("capture", "albedo", "lamps", "panorama")
@@ -114,7 +115,8 @@ def background_gains(behind: Background) -> tuple[float, float, float]:
     """Of a picture, of the first frame of a film, or of a panorama as bright as it is shown; once for all frames."""
     assert behind.path is not None
     if behind.kind == "hdr":
-        return gains_of(irradiance(read_panorama(behind.path), 0.0, sphere(64)).mean(0) * 2.0**behind.exposure)
+        shown = irradiance(read_panorama(behind.path), 0.0, fibonacci_sphere(64))
+        return gains_of(shown.mean(0) * 2.0**behind.exposure)
     source = opened_source(behind)
     try:
         pixels = source.pixels(0.0, FITTED_TO)[..., :3]

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.light import CaptureLight, lamps_of
+from avatar.rotation import fibonacci_sphere
 
 Array = np.ndarray
 
@@ -34,14 +35,6 @@ class FittedLight(NamedTuple):
 
     light: CaptureLight
     error: float
-
-
-def sphere(count: int) -> Float[Array, "count 3"]:
-    """Directions spread evenly over the sphere."""
-    n = np.arange(count) + 0.5
-    height, turn = 1 - 2 * n / count, np.pi * (1 + 5**0.5) * n
-    flat = np.sqrt(1 - height * height)
-    return np.stack([flat * np.cos(turn), height, flat * np.sin(turn)], 1)
 
 
 def irradiance(
@@ -71,7 +64,7 @@ def fitted_light(panorama: Float[Array, "height width 3"], turn: float, *, gamma
     Raises:
         ValueError: the panorama is black.
     """
-    normals = sphere(NORMALS)
+    normals = fibonacci_sphere(NORMALS)
     bright = irradiance(panorama, turn, normals) @ LUMINANCE
     if not bright.mean() > 0:
         raise ValueError("the panorama is black: it lights nothing")

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from radiance_writer import sky
 
+from avatar.rotation import fibonacci_sphere
 from player.effects.panorama import direction_from_pixel
-from player.effects.panorama_light import GAINS, LUMINANCE, fitted_light, gains_of, irradiance, linear_mean, sphere
+from player.effects.panorama_light import GAINS, LUMINANCE, fitted_light, gains_of, irradiance, linear_mean
 
 
 def test_even_light_is_its_own_irradiance(within):
     even = np.full((64, 128, 3), 0.7)
-    within(np.abs(irradiance(even, 0.3, sphere(50)) - 0.7).max(), 2e-3)
+    within(np.abs(irradiance(even, 0.3, fibonacci_sphere(50)) - 0.7).max(), 2e-3)
     light = fitted_light(even, 0.0, gamma=2.2, most=4)
     assert light.light.lamps == () and abs(light.light.ambient - 1) < 1e-12 and light.error < 2e-3
 
@@ -41,7 +42,7 @@ def _identity():
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
 def test_an_evening_sky_is_met_to_some_percent_and_no_lamp_is_negative(within, gamma):
-    panorama, normals = sky(256), sphere(400)
+    panorama, normals = sky(256), fibonacci_sphere(400)
     fitted = fitted_light(panorama, 0.4, gamma=gamma, most=4)
     light = fitted.light
     assert 1 <= len(light.lamps) <= 4 and light.ambient >= 0 and (light.strengths >= 0).all()
