@@ -35,7 +35,7 @@ The names below are the public ones of this package, each imported when it is as
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from avatar.baked_avatar import Avatar
@@ -47,21 +47,17 @@ if TYPE_CHECKING:
     from avatar.skeleton import JOINTS
     from command.errors import AssetError
 
-_PUBLIC = {
-    "Avatar": "avatar.baked_avatar",
-    "Camera": "avatar.camera",
-    "look_at": "avatar.camera",
-    "pinhole": "avatar.camera",
-    "AssetError": "command.errors",
-    "read_avatar": "avatar.gltf.avatar_file",
-    "write_avatar": "avatar.gltf.avatar_file",
-    "write_amass": "avatar.motion.amass",
-    "Clip": "avatar.motion.clip",
-    "Motion": "avatar.motion.clip",
-    "resample": "avatar.motion.clip",
-    "read_motion": "avatar.motion.read",
-    "JOINTS": "avatar.skeleton",
+_MODULES = {
+    "avatar.baked_avatar": ("Avatar",),
+    "avatar.camera": ("Camera", "look_at", "pinhole"),
+    "avatar.gltf.avatar_file": ("read_avatar", "write_avatar"),
+    "avatar.motion.amass": ("write_amass",),
+    "avatar.motion.clip": ("Clip", "Motion", "resample"),
+    "avatar.motion.read": ("read_motion",),
+    "avatar.skeleton": ("JOINTS",),
+    "command.errors": ("AssetError",),
 }
+_PUBLIC = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [
     "JOINTS",
     "AssetError",
@@ -79,7 +75,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _PUBLIC:
         return getattr(import_module(_PUBLIC[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

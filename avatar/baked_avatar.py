@@ -21,6 +21,8 @@ from avatar.skeleton import JOINTS
 from avatar.skinning import SkinWeights
 from files.input_file import JsonObject
 
+Array = np.ndarray
+
 VIEW_MODES = ("network", "linear", "off")
 
 
@@ -31,10 +33,10 @@ class TwistSkin:
     Row by row, each helper joint's weight counted for the joint whose child it is, it is the skin of the 52.
     """
 
-    joints: UInt8[np.ndarray, "vertices 4"]
-    weights: UInt8[np.ndarray, "vertices 4"]  # rows sum to 255
+    joints: UInt8[Array, "vertices 4"]
+    weights: UInt8[Array, "vertices 4"]  # rows sum to 255
 
-    def folded(self) -> tuple[UInt8[np.ndarray, "vertices 4"], UInt8[np.ndarray, "vertices 4"]]:
+    def folded(self) -> tuple[UInt8[Array, "vertices 4"], UInt8[Array, "vertices 4"]]:
         """Joints and weights of the 52: a joint's parts gathered in its first slot; slots of weight 0 name joint 0."""
         joints, weights = CARRIER[self.joints].astype(np.uint8), self.weights.copy()
         for slot in range(1, 4):
@@ -49,30 +51,30 @@ class TwistSkin:
 class Level:
     """One level of detail."""
 
-    positions: Float32[np.ndarray, "vertices 3"]  # canonical, metres
-    normals: Float32[np.ndarray, "vertices 3"]  # canonical, unit
+    positions: Float32[Array, "vertices 3"]  # canonical, metres
+    normals: Float32[Array, "vertices 3"]  # canonical, unit
     # as in glTF: v downwards, (0, 0) the image's top left corner
-    uv: Float32[np.ndarray, "vertices 2"]
-    faces: UInt32[np.ndarray, "faces 3"]
-    joints: UInt8[np.ndarray, "vertices 4"]
-    weights: UInt8[np.ndarray, "vertices 4"]  # rows sum to 255
-    view_dir: Float32[np.ndarray, "vertices 3"]  # global view direction (Eq. 14), canonical, camera to surface, unit
+    uv: Float32[Array, "vertices 2"]
+    faces: UInt32[Array, "faces 3"]
+    joints: UInt8[Array, "vertices 4"]
+    weights: UInt8[Array, "vertices 4"]  # rows sum to 255
+    view_dir: Float32[Array, "vertices 3"]  # global view direction (Eq. 14), canonical, camera to surface, unit
     # Q as xx, xy, xz, yy, yz, zz; positive semi-definite
-    view_q: Float32[np.ndarray, "vertices 6"]
+    view_q: Float32[Array, "vertices 6"]
     # v in [0, 1], 0 where no camera looked
-    view_seen: Float32[np.ndarray, "vertices"]
-    base_color: UInt8[np.ndarray, "height width 3"]  # sRGB
+    view_seen: Float32[Array, "vertices"]
+    base_color: UInt8[Array, "height width 3"]  # sRGB
     # 4 or 8, linear, f = value / 255
-    features: UInt8[np.ndarray, "feature_height feature_width planes"] | None
+    features: UInt8[Array, "feature_height feature_width planes"] | None
     # mean S and H (avatar/light.py) that the base colour shows; None: they are not separated from the albedo
-    light: Float32[np.ndarray, "vertices 2"] | None = None
+    light: Float32[Array, "vertices 2"] | None = None
     # None: the file has no helper joints
     twist: TwistSkin | None = None
     # 0 where it is skin, 1 where it hangs far off the body: hair, skirts, sleeves; None: nothing is loose
-    loose: Float32[np.ndarray, "vertices"] | None = None
+    loose: Float32[Array, "vertices"] | None = None
 
     @property
-    def drawn_skin(self) -> tuple[UInt8[np.ndarray, "vertices 4"], UInt8[np.ndarray, "vertices 4"]]:
+    def drawn_skin(self) -> tuple[UInt8[Array, "vertices 4"], UInt8[Array, "vertices 4"]]:
         """Joints and weights that it is drawn with, helper joints among them where the file has them."""
         return (self.joints, self.weights) if self.twist is None else (self.twist.joints, self.twist.weights)
 
@@ -100,12 +102,12 @@ class ViewNetwork:
     8 features: y = w3 relu(w2 relu(w1 x + b1) + b2) + b3, 12 -> 16 -> 16 -> 3.
     """
 
-    w1: Float32[np.ndarray, "16 inputs"]
-    b1: Float32[np.ndarray, "16"]
-    w2: Float32[np.ndarray, "outputs 16"]
-    b2: Float32[np.ndarray, "outputs"]
-    w3: Float32[np.ndarray, "3 16"] | None = None
-    b3: Float32[np.ndarray, "3"] | None = None
+    w1: Float32[Array, "16 inputs"]
+    b1: Float32[Array, "16"]
+    w2: Float32[Array, "outputs 16"]
+    b2: Float32[Array, "outputs"]
+    w3: Float32[Array, "3 16"] | None = None
+    b3: Float32[Array, "3"] | None = None
 
     @property
     def features(self) -> int:
@@ -113,7 +115,7 @@ class ViewNetwork:
         return 4 if self.w3 is None else 8
 
     @property
-    def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    def layers(self) -> tuple[tuple[Array, Array], ...]:
         """Weights and biases, first layer first."""
         first = ((self.w1, self.b1), (self.w2, self.b2))
         return first if self.w3 is None or self.b3 is None else (*first, (self.w3, self.b3))
@@ -124,13 +126,13 @@ class Avatar:
     """A person, ready to be posed and drawn."""
 
     name: str
-    joint_positions: Float[np.ndarray, "52 3"]  # pose 0, pelvis at the origin, metres
+    joint_positions: Float[Array, "52 3"]  # pose 0, pelvis at the origin, metres
     # axis-angle, the pose that the levels are stored in
-    canonical_pose: Float[np.ndarray, "52 3"]
+    canonical_pose: Float[Array, "52 3"]
     levels: tuple[Level, ...]  # finest first
     # colour = clamp(base + A |t'| y / (1 + |y|))
     network: ViewNetwork | None
-    linear: Float32[np.ndarray, "features 3 3"] | None  # colour = clamp(base + (sum_i f_i M_i) t')
+    linear: Float32[Array, "features 3 3"] | None  # colour = clamp(base + (sum_i f_i M_i) t')
     # A, the largest change of colour per unit of |t'|
     amplitude: float
     default_view: Literal["network", "linear", "off"]
@@ -140,7 +142,7 @@ class Avatar:
     # colour. None: light is not separated from albedo
     light: CaptureLight | None = None
     # how far bend joints are pushed (avatar/bend.py), metres, only beside twist joints; None: the file has none
-    bend: Float[np.ndarray, "bends"] | None = None
+    bend: Float[Array, "bends"] | None = None
 
     def level(self, number: int) -> Level:
         """A level of detail, 0 the finest; the coarsest where there are fewer."""
@@ -212,7 +214,7 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
     _check_rows(eigenvalues[:, 0] >= -rounding, f"{where}.view_q", "positive semi-definite", level["view_q"])
 
 
-def _check_twist(twist: TwistSkin, joints: np.ndarray, weights: np.ndarray, where: str) -> None:
+def _check_twist(twist: TwistSkin, joints: Array, weights: Array, where: str) -> None:
     for name, values in vars(twist).items():
         _check_array(values, f"{where}.twist.{name}", "uint8", joints.shape)
     _check_rows(twist.joints.max(axis=1) < BONES, f"{where}.twist.joints", f"below {BONES}", twist.joints)
@@ -223,7 +225,7 @@ def _check_twist(twist: TwistSkin, joints: np.ndarray, weights: np.ndarray, wher
     _check_rows(same, f"{where}.twist.weights", "those of the 52 joints, divided", twist.weights)
 
 
-def check_network(network: Mapping[str, np.ndarray | None], where: str = "network") -> None:
+def check_network(network: Mapping[str, Array | None], where: str = "network") -> None:
     """Refuse weights of a view network that have another shape than one of its two sizes, or are not finite."""
     arrays = NETWORK_ARRAYS[4 if network.get("w3") is None else 8]
     for name, shape in arrays.items():
@@ -302,7 +304,7 @@ def _check_default_view(avatar: Avatar) -> None:
 
 def _check_array(values: object, where: str, dtype: str, shape: tuple[int, ...]) -> None:
     expected = f"{dtype} {tuple('any' if n < 0 else n for n in shape)}"
-    if not isinstance(values, np.ndarray):
+    if not isinstance(values, Array):
         raise ValueError(f"{where} should be an array of {expected}, is {type(values).__name__}")
     fits = values.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, values.shape, strict=True))
     if values.dtype.name != dtype or not fits or values.size == 0:
@@ -316,7 +318,7 @@ def _check_array(values: object, where: str, dtype: str, shape: tuple[int, ...])
             raise ValueError(f"{where} should be below 1e8, reaches {np.abs(values).max()}")
 
 
-def _check_rows(right: np.ndarray, where: str, expected: str, values: np.ndarray) -> None:
+def _check_rows(right: Array, where: str, expected: str, values: Array) -> None:
     if not right.all():
         first = int(np.argmin(right))
         raise ValueError(f"{where} should be {expected}, is {values[first].tolist()} in row {first}")

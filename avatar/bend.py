@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from avatar.rotation import quaternion_from_axis_angle, quaternion_inverse, quaternion_product
+from avatar.rotation import quaternion_from_axis_angle, quaternion_inverse, quaternion_product, unit_or_zero
 from avatar.skeleton import JOINTS, PARENTS
 
 Array = np.ndarray
@@ -65,10 +65,8 @@ class BendJoints:
     """The bend joints of one skeleton, whose joints rest at `joints`, metres; `push` is c of each of BENDS."""
 
     def __init__(self, joints: Float[Array, "52 3"], push: Float[Array, "bends"]):
-        along = joints[_CHILD] - joints[_JOINT]
-        length = np.linalg.norm(along, axis=1, keepdims=True)
         # a bone without length has no axis: all of its turn is a swing, and nothing is pushed
-        self.axes = np.where(length > 1e-9, along / np.maximum(length, 1e-9), 0.0)
+        self.axes = unit_or_zero(joints[_CHILD] - joints[_JOINT])
         # from their parent, pose 0, metres
         self.offsets = np.where(_OWN[:, None], 0.0, (joints[_JOINT] - joints[PARENTS[_JOINT]])[_OF])
         self._places = joints[_JOINT] - joints[PARENTS[_JOINT]]

@@ -178,11 +178,7 @@ def read_camera(path: Path | str) -> Camera:
     if absent:
         raise AssetError(f"{path}: no {sorted(absent)}; the file has {sorted(key[:40] for key in content)[:20]}")
     return checked_camera(
-        str(path),
-        content["K"],
-        content["camera_from_world"],
-        content["size"],
-        content.get("distortion", [0.0] * 5),
+        str(path), content["K"], content["camera_from_world"], content["size"], content.get("distortion", [0.0] * 5)
     )
 
 

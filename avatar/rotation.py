@@ -146,6 +146,13 @@ def slerp(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"], t: Float[Array, "*b"
     return normalised_quaternion(wa[..., None] * a + wb[..., None] * b)
 
 
+def rotation_part_way(
+    a: Float[Array, "*b 3 3"], b: Float[Array, "*b 3 3"], part: Float[Array, "*b"] | float
+) -> Float[Array, "*b 3 3"]:
+    """The rotation a part of the way from a to b, by `slerp`."""
+    return matrix_from_quaternion(slerp(quaternion_from_matrix(a), quaternion_from_matrix(b), part))
+
+
 def nearest_axis_angle(axis_angle: Float[Array, "*b 3"], reference: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """The vector of the same rotation that lies closest to `reference` (v + 2 pi n axis).
 

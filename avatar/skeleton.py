@@ -59,9 +59,7 @@ PARENTS.setflags(write=False)
 
 
 def joint_transforms(
-    axis_angle: Float[Array, "*b 52 3"],
-    joints: Float[Array, "52 3"],
-    root: Float[Array, "*b 3"] | None = None,
+    axis_angle: Float[Array, "*b 52 3"], joints: Float[Array, "52 3"], root: Float[Array, "*b 3"] | None = None
 ) -> Float[Array, "*b 52 4 4"]:
     """Forward kinematics: G_k = world_from_joint of each joint (Loper et al. 2015, Eq. 3-4).
 

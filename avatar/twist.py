@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from avatar.rotation import quaternion_from_axis_angle
+from avatar.rotation import cross_matrix, quaternion_from_axis_angle, unit_or_zero
 from avatar.skeleton import JOINTS
 
 Array = np.ndarray
@@ -75,16 +75,14 @@ class TwistJoints:
 
     def __init__(self, joints: Float[Array, "52 3"]):
         along = joints[_CHILD] - joints[_JOINT]
-        length = np.linalg.norm(along, axis=1, keepdims=True)
         # a bone without length has no axis and is never twisted
-        self.axes = np.where(length > 1e-9, along / np.maximum(length, 1e-9), 0.0)
+        self.axes = unit_or_zero(along)
         # from their joint, pose 0, metres
         self.offsets = _SHARE[:, None] * along
         first = np.searchsorted(_SEGMENT, np.arange(len(SEGMENTS)))
         self._axes_of_ends = np.concatenate([self.axes[first], self.axes[first]])
         # Rodrigues' formula: R = I + sin t K + (1 - cos t) K^2
-        x, y, z, o = *self.axes.T, np.zeros(len(self.axes))
-        self._K = np.stack([o, -z, y, z, o, -x, -y, x, o], -1).reshape(-1, 3, 3)
+        self._K = cross_matrix(self.axes)
         self._K2 = self._K @ self._K
 
     def axis_angle(self, pose: Float[Array, "*b 52 3"]) -> Float[Array, "*b twists 3"]:

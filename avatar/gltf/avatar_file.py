@@ -26,14 +26,7 @@ from avatar.baked_avatar import (
     check_network,
 )
 from avatar.bend import BENDS
-from avatar.gltf.avatar_write import (
-    ATTRIBUTES,
-    EXTENSION,
-    VERSION,
-    canonical_bones,
-    helper_joints,
-    write_avatar,
-)
+from avatar.gltf.avatar_write import ATTRIBUTES, EXTENSION, VERSION, canonical_bones, helper_joints, write_avatar
 from avatar.gltf.document import Gltf, read_gltf
 from avatar.gltf.scene import (
     attribute_accessors,
@@ -50,6 +43,8 @@ from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
 from command.errors import AssetError
 from files.input_file import JsonObject
 from files.picture import decode_png, png_pixels
+
+Array = np.ndarray
 
 __all__ = ["Avatar", "Level", "ViewNetwork", "read_avatar", "write_avatar"]
 
@@ -208,7 +203,7 @@ class _Source(NamedTuple):
     features: tuple[int, ...]
 
 
-def _four_features(gltf: Gltf, image: int) -> np.ndarray:
+def _four_features(gltf: Gltf, image: int) -> Array:
     """Four features a texel, from their planes one below the other."""
     planes = _of_image(gltf, image, decode_png, "L")
     if len(planes) % 4:
@@ -242,7 +237,7 @@ def _of_image(gltf: Gltf, index: int, function: Callable[..., T], *arguments: ob
         raise AssetError(f"{gltf.path}: images[{index}] {error}") from None
 
 
-def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
+def _read_surface(gltf: Gltf, mesh: int) -> dict[str, Array]:
     """The arrays of a level that live in its primitive."""
     accessors, where = attribute_accessors(gltf, mesh), f"meshes[{mesh}].primitives[0]"
     for name in (*ATTRIBUTES.values(), "_VIEW_Q0", "_VIEW_Q1"):
@@ -264,7 +259,7 @@ def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _unpadded(gltf: Gltf, values: np.ndarray, used: int, where: str) -> np.ndarray:
+def _unpadded(gltf: Gltf, values: Array, used: int, where: str) -> Array:
     """The columns of an attribute that are used; avatar_write.py fills the others of its three with zeros."""
     if values.ndim != 2 or values.shape[1] != 3 or values[:, used:].any():
         numbers = f"{used} number{'s' * (used > 1)} and {3 - used} of 0 for each vertex"
@@ -272,7 +267,7 @@ def _unpadded(gltf: Gltf, values: np.ndarray, used: int, where: str) -> np.ndarr
     return np.ascontiguousarray(values[:, :used])
 
 
-def _twist_skin(gltf: Gltf, mesh: int, arrays: dict[str, np.ndarray]) -> TwistSkin:
+def _twist_skin(gltf: Gltf, mesh: int, arrays: dict[str, Array]) -> TwistSkin:
     """The skin of a file with helper joints, whose numbers are in range."""
     where = f"meshes[{mesh}].primitives[0].JOINTS_0"
     joints, weights = arrays["joints"], arrays["weights"]
@@ -313,9 +308,7 @@ def _check_skeleton(gltf: Gltf, avatar: Avatar, mesh: int) -> None:
     _check_close(gltf, "inverse bind matrices", skin.joint_from_mesh, rigid_inverse(canonical_bones(avatar)), named)
 
 
-def _check_close(
-    gltf: Gltf, field: str, found: np.ndarray, expected: np.ndarray, names: tuple[str, ...] = JOINTS
-) -> None:
+def _check_close(gltf: Gltf, field: str, found: Array, expected: Array, names: tuple[str, ...] = JOINTS) -> None:
     """Transforms of the joints agree to 10 micrometres (and as little rotation)."""
     error = np.abs(found - expected).max(axis=(1, 2))
     if not error.max() < 1e-5:

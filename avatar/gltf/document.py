@@ -19,6 +19,8 @@ from avatar.gltf.container import MAX_BYTES, file_bytes, glb_chunks, parse_json,
 from command.errors import AssetError
 from files.input_file import JsonObject
 
+Array = np.ndarray
+
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 ELEMENT_SHAPES = {
     "SCALAR": (),
@@ -101,7 +103,7 @@ class Gltf:
             raise self.error(f"{field}.{key}", f"a whole number from {low} to {MAX_BYTES}", value)
         return value
 
-    def numbers(self, holder: JsonObject, key: str, field: str, shape: tuple[int, ...]) -> np.ndarray:
+    def numbers(self, holder: JsonObject, key: str, field: str, shape: tuple[int, ...]) -> Array:
         """A flat JSON list of finite numbers as a float64 array of `shape`."""
         value = holder.get(key)
         size = prod(shape)
@@ -129,7 +131,7 @@ class Gltf:
             raise self.error(f"{field}.extensions", "an object", extensions)
         return extensions
 
-    def accessor(self, index: object, *, as_float: bool = False, field: str = "accessor") -> np.ndarray:
+    def accessor(self, index: object, *, as_float: bool = False, field: str = "accessor") -> Array:
         """The values of an accessor: (count,), (count, n) for vectors, (count, n, n) for matrices.
 
         The array is the caller's own. Matrices are transposed to NumPy's order: `matrix @ column`. Integers
@@ -168,9 +170,7 @@ class Gltf:
                 values = np.maximum(values / np.float32(np.iinfo(dtype).max), np.float32(-1))
         return values.swapaxes(-1, -2) if len(shape) == 2 else values
 
-    def _elements(
-        self, holder: JsonObject, dtype: np.dtype, shape: tuple[int, ...], count: int, where: str
-    ) -> np.ndarray:
+    def _elements(self, holder: JsonObject, dtype: np.dtype, shape: tuple[int, ...], count: int, where: str) -> Array:
         """`count` elements of a buffer view, as a view of its bytes, bounds checked."""
         data = self.view(holder.get("bufferView"), f"{where}.bufferView")
         offset = self.integer(holder, "byteOffset", where, default=0)
@@ -187,7 +187,7 @@ class Gltf:
         strides = (stride,) + tuple(np.zeros((1, *shape), dtype).strides[1:])
         return np.ndarray((count, *shape), dtype, data, offset, strides)
 
-    def _apply_sparse(self, values: np.ndarray, sparse: object, where: str) -> None:
+    def _apply_sparse(self, values: Array, sparse: object, where: str) -> None:
         """Overwrite the elements that a sparse accessor lists."""
         where = f"{where}.sparse"
         parts = [sparse.get(k) for k in ("indices", "values")] if isinstance(sparse, dict) else []

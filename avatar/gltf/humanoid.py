@@ -86,10 +86,7 @@ def find_naming(path: Path, document: JsonObject) -> Naming:
     for i, node in enumerate(nodes):
         if "mesh" not in node:
             plain.setdefault(re.sub(r"^mixamorig\d*[:_]?", "", str(node.get("name", ""))), i)
-    tried = [
-        _fitted("Mixamo", mixamo_names(), plain),
-        _fitted("SMPL+H", {joint: joint for joint in JOINTS}, plain),
-    ]
+    tried = [_fitted("Mixamo", mixamo_names(), plain), _fitted("SMPL+H", {joint: joint for joint in JOINTS}, plain)]
     return max(tried, key=lambda naming: len(naming.nodes))
 
 

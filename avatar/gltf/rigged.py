@@ -35,6 +35,8 @@ from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points, strongest_four
 from command.errors import AssetError
 
+Array = np.ndarray
+
 # an arm this close to horizontal is a T-pose as animators leave it: turning it would only stretch the shoulders
 REST_ARM_DEGREES = 8.0
 
@@ -43,10 +45,10 @@ REST_ARM_DEGREES = 8.0
 class RiggedPart:
     """One primitive in the bind pose, in the file's world frame."""
 
-    vertices: Float[np.ndarray, "vertices 3"]
-    faces: Int[np.ndarray, "faces 3"]
-    uv: Float[np.ndarray, "vertices 2"]
-    weights: Float[np.ndarray, "vertices 52"]
+    vertices: Float[Array, "vertices 3"]
+    faces: Int[Array, "faces 3"]
+    uv: Float[Array, "vertices 2"]
+    weights: Float[Array, "vertices 52"]
     material: int  # glTF material, -1: none
     # names of node, mesh and material
     called: str
@@ -58,9 +60,9 @@ class Rigged:
 
     parts: list[RiggedPart]
     # the vertices of all parts, one after the other
-    vertices: Float[np.ndarray, "vertices 3"]
+    vertices: Float[Array, "vertices 3"]
     skin: SkinWeights
-    joints: Float[np.ndarray, "52 3"]
+    joints: Float[Array, "52 3"]
     # what was assumed in reading
     notes: list[str]
 
@@ -114,7 +116,7 @@ class NodeTree:
         self.gltf, self.joint_nodes = gltf, joint_nodes
         self.world = world_from_node(gltf)
         self.parent = node_parents(gltf)
-        self.bind: dict[int, np.ndarray] = {}  # world_from_node in the bind pose, of the nodes that skins name
+        self.bind: dict[int, Array] = {}  # world_from_node in the bind pose, of the nodes that skins name
         self.joint_of_node = self._nearest_joints()
 
     def _nearest_joints(self) -> list[int]:
@@ -126,7 +128,7 @@ class NodeTree:
             nearest[node] = index.get(node, nearest[above] if above >= 0 else 0)
         return nearest
 
-    def bind_skin(self, number: int) -> tuple[Float[np.ndarray, "4 4"], Int[np.ndarray, "joints"]]:
+    def bind_skin(self, number: int) -> tuple[Float[Array, "4 4"], Int[Array, "joints"]]:
         """Where a skin's mesh is placed in the bind pose (S), and the one of the 52 joints for each of its own.
 
         S is taken where another skin bound the same joint, else as the pelvis stands in the file.
@@ -149,7 +151,7 @@ class NodeTree:
                 raise self.gltf.error(field, "one bind pose", f"{joint} {100 * apart:.2f} cm from another skin's")
         return place, np.array([self.joint_of_node[node] for node in skin.nodes])
 
-    def place_rigid(self, node: int) -> Float[np.ndarray, "4 4"]:
+    def place_rigid(self, node: int) -> Float[Array, "4 4"]:
         """Where a mesh hung on a bone (a hat, an eye) is in the bind pose."""
         bone = node
         while bone >= 0 and bone not in self.bind:
@@ -206,7 +208,7 @@ def _read_mesh_node(rig: NodeTree, node: int) -> list[RiggedPart]:
     return meshes
 
 
-def _upright(path: Path, joints: Float[np.ndarray, "52 3"]) -> tuple[Float[np.ndarray, "3 3"], str]:
+def _upright(path: Path, joints: Float[Array, "52 3"]) -> tuple[Float[Array, "3 3"], str]:
     """The rotation that makes the skeleton face +z with +y up, and what was turned ("" if nothing).
 
     Only quarter turns: a rig that stands at an odd angle is not a T-pose we know how to read.

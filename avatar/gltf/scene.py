@@ -12,6 +12,8 @@ from avatar.texture import bytes_of, linear_from_srgb, srgb_from_linear
 from command.errors import AssetError
 from files.picture import WITH_WEBP, decode_picture
 
+Array = np.ndarray
+
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
 
 
@@ -22,7 +24,7 @@ class Skin:
     name: str
     # the node of each joint
     nodes: tuple[int, ...]
-    joint_from_mesh: Float[np.ndarray, "joints 4 4"]  # inverse bind matrices
+    joint_from_mesh: Float[Array, "joints 4 4"]  # inverse bind matrices
 
 
 @dataclass(frozen=True)
@@ -30,12 +32,12 @@ class Primitive:
     """One drawable part of a mesh: vertex attributes by their glTF names, and triangles."""
 
     # float32, except JOINTS_n, which keep their integer type
-    attributes: dict[str, np.ndarray]
-    faces: UInt32[np.ndarray, "faces 3"]
+    attributes: dict[str, Array]
+    faces: UInt32[Array, "faces 3"]
     material: int | None
 
 
-def node_parents(gltf: Gltf) -> Int[np.ndarray, "nodes"]:
+def node_parents(gltf: Gltf) -> Int[Array, "nodes"]:
     """The parent of every node, -1 for a root. Refuses a node with two parents and a cycle."""
     nodes = gltf.items("nodes")
     parents = np.full(len(nodes), -1, dtype=np.int64)
@@ -55,7 +57,7 @@ def node_parents(gltf: Gltf) -> Int[np.ndarray, "nodes"]:
     return parents
 
 
-def parents_first(parents: Int[np.ndarray, "nodes"]) -> list[int]:
+def parents_first(parents: Int[Array, "nodes"]) -> list[int]:
     """The nodes that a root reaches, every node after its parent."""
     children: list[list[int]] = [[] for _ in parents]
     for node, parent in enumerate(parents):
@@ -71,9 +73,9 @@ def parents_first(parents: Int[np.ndarray, "nodes"]) -> list[int]:
 class NodePlace(NamedTuple):
     """A node's own transform, T R S: parent_from_node x = translation + R (scale * x)."""
 
-    translation: Float[np.ndarray, "3"]
-    rotation: Float[np.ndarray, "4"]  # unit quaternion, xyzw
-    scale: Float[np.ndarray, "3"]
+    translation: Float[Array, "3"]
+    rotation: Float[Array, "4"]  # unit quaternion, xyzw
+    scale: Float[Array, "3"]
 
 
 def node_place(gltf: Gltf, index: int) -> NodePlace:
@@ -89,7 +91,7 @@ def node_place(gltf: Gltf, index: int) -> NodePlace:
     return NodePlace(translation, rotation / length, scale)
 
 
-def parent_from_node(gltf: Gltf, index: int) -> Float[np.ndarray, "4 4"]:
+def parent_from_node(gltf: Gltf, index: int) -> Float[Array, "4 4"]:
     """A node's own transform: its `matrix`, or T R S."""
     node = gltf.items("nodes")[index]
     if "matrix" in node:
@@ -100,7 +102,7 @@ def parent_from_node(gltf: Gltf, index: int) -> Float[np.ndarray, "4 4"]:
     return matrix
 
 
-def world_from_node(gltf: Gltf) -> Float[np.ndarray, "nodes 4 4"]:
+def world_from_node(gltf: Gltf) -> Float[Array, "nodes 4 4"]:
     """The world transform of every node in the default pose, float64."""
     parents = node_parents(gltf)
     world = np.tile(np.eye(4), (len(parents), 1, 1))
@@ -180,7 +182,7 @@ def attribute_accessors(gltf: Gltf, mesh: int, primitive: int = 0) -> dict[str, 
     return found
 
 
-def triangles(gltf: Gltf, mesh: int, primitive: int, vertices: int) -> UInt32[np.ndarray, "faces 3"]:
+def triangles(gltf: Gltf, mesh: int, primitive: int, vertices: int) -> UInt32[Array, "faces 3"]:
     """The triangles of a primitive with this many vertices; every index is below it."""
     part, where = primitives(gltf, mesh)[primitive], f"meshes[{mesh}].primitives[{primitive}]"
     mode = part.get("mode", TRIANGLES)
@@ -217,16 +219,9 @@ def texture_image(gltf: Gltf, texture: object, *, field: str = "texture") -> int
 
 def base_color_image(gltf: Gltf, material: int) -> int | None:
     """The image of a material's base colour, laid out by TEXCOORD_0; None where it has a plain colour."""
-    where = f"materials[{material}].pbrMetallicRoughness"
-    pbr = gltf.item("materials", material, "material").get("pbrMetallicRoughness", {})
-    if not isinstance(pbr, dict):
-        raise gltf.error(where, "an object", pbr)
-    texture = pbr.get("baseColorTexture")
-    if texture is None:
+    texture, where = base_texture(gltf, material), f"materials[{material}].pbrMetallicRoughness.baseColorTexture"
+    if not texture:
         return None
-    where = f"{where}.baseColorTexture"
-    if not isinstance(texture, dict):
-        raise gltf.error(where, "an object", texture)
     if texture.get("texCoord", 0) != 0:
         raise gltf.error(f"{where}.texCoord", "0, the only texture coordinates read", texture["texCoord"])
     transform = gltf.extensions(texture, where).get("KHR_texture_transform", {})
@@ -246,10 +241,10 @@ def material_of(gltf: Gltf, index: int) -> dict:
 def _within(gltf: Gltf, index: int, *keys: str) -> dict:
     """An object inside a material, empty where the file has none."""
     found = material_of(gltf, index)
-    for key in keys:
+    for n, key in enumerate(keys, 1):
         found = found.get(key, {})
         if not isinstance(found, dict):
-            raise gltf.error(f"materials[{index}].{key}", "an object", found)
+            raise gltf.error(f"materials[{index}].{'.'.join(keys[:n])}", "an object", found)
     return found
 
 
@@ -258,7 +253,7 @@ def base_texture(gltf: Gltf, index: int) -> dict:
     return _within(gltf, index, "pbrMetallicRoughness", "baseColorTexture")
 
 
-def read_base_color(gltf: Gltf, index: int, notes: list[str]) -> tuple[np.ndarray, np.ndarray | None]:
+def read_base_color(gltf: Gltf, index: int, notes: list[str]) -> tuple[Array, Array | None]:
     """Base colour (H, W, 3) sRGB and, where the material cuts holes, alpha (H, W) with its cutoff moved to 128.
 
     What is assumed is added to the notes.

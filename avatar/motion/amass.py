@@ -60,19 +60,15 @@ def write_amass(
     """
     if up not in ("y", "z"):
         raise ValueError(f"up should be 'y' or 'z', is {up!r}")
-    frames = clip.frames if isinstance(clip, Motion) else len(clip.root)
+    frames = clip.frames
     if not frames:
         raise ValueError("a clip of 0 frames should have some, all finite")
     J0 = np.asarray(pelvis if pelvis is not None else USUAL_PELVIS if up == "z" else np.zeros(3), np.float64)
 
     def rows(start: int, stop: int) -> dict[str, Array]:
         """Poses and trans of some frames."""
-        if isinstance(clip, Motion):
-            part = clip.read(start, stop)
-            pose, root = np.array(part.axis_angle, np.float64), np.asarray(part.root, np.float64)
-        else:
-            pose = np.array(clip.axis_angle[start:stop], np.float64)
-            root = np.asarray(clip.root[start:stop], np.float64)
+        part = clip.read(start, stop)
+        pose, root = np.array(part.axis_angle, np.float64), np.asarray(part.root, np.float64)
         if not (np.isfinite(pose).all() and np.isfinite(root).all()):
             raise ValueError(f"a clip of {frames} frames should have some, all finite")
         if up == "z":

@@ -5,9 +5,9 @@ here. A joint's rotation is the product of its rotation channels in the order wr
 the place of the joint's OFFSET (as Blender and most exporters mean it).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float
@@ -143,10 +143,10 @@ def open_bvh(path: Path | str) -> Bvh:
             reader = _Lines(path, file)
             tree = _hierarchy(reader)
             frames, rate = _motion_header(reader)
-            places = _index(reader, frames, sum(len(c) for c in tree.channels))
+            places = _index(reader, frames, tree.width)
     except OSError as error:
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
-    return Bvh(path, *tree, frames, rate, places)
+    return replace(tree, frames=frames, rate=rate, places=places)
 
 
 class _Lines:
@@ -189,18 +189,8 @@ class _Lines:
         return values
 
 
-class _Tree(NamedTuple):
-    """The hierarchy of a file, as `Bvh` holds it."""
-
-    names: tuple[str, ...]
-    parents: tuple[int, ...]
-    offsets: Float[Array, "joints 3"]
-    ends: tuple[tuple[int, tuple[float, float, float]], ...]
-    channels: tuple[tuple[str, ...], ...]
-
-
-def _hierarchy(reader: _Lines) -> _Tree:
-    """Everything up to the brace that closes the root's."""
+def _hierarchy(reader: _Lines) -> Bvh:
+    """Everything up to the brace that closes the root's: a file whose frames are not known yet."""
     words = reader.next()
     if words[0].upper() != "HIERARCHY":
         raise reader.error(f"expected HIERARCHY, found {words[0][:30]!r}; is this a BVH file?")
@@ -242,7 +232,8 @@ def _hierarchy(reader: _Lines) -> _Tree:
             if joint >= 0 and offsets[joint] is None:
                 raise reader.error(f"joint {names[joint]} has no OFFSET")
             inside.pop()
-    return _Tree(tuple(names), tuple(parents), np.array(offsets, np.float64), tuple(ends), tuple(channels))
+    places = np.array(offsets, np.float64)
+    return Bvh(reader.path, tuple(names), tuple(parents), places, tuple(ends), tuple(channels), 0, 1.0, ())
 
 
 def _channel_names(reader: _Lines, words: list[str]) -> tuple[str, ...]:

@@ -12,7 +12,6 @@ a - c is known: c stays as it was. avatar/motion/bvh.py reads such a file back j
 (avatar/motion/smplh_rig.py).
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
@@ -34,13 +33,7 @@ LAST_BONE = 0.8
 HEAD, TOES = np.array([0.0, 0.2, 0.0]), np.array([0.0, 0.0, 0.07])  # End Sites, metres
 
 
-def write_bvh(
-    path: Path | str,
-    motion: Clip | Motion,
-    joints: Float[Array, "52 3"],
-    *,
-    unit: float = 1.0,
-) -> None:
+def write_bvh(path: Path | str, motion: Clip | Motion, joints: Float[Array, "52 3"], *, unit: float = 1.0) -> None:
     """Write a clip, or a motion of any length in constant memory; whole or not at all.
 
     `joints` are the rest positions of the body it is for (pose 0, metres). `unit` is the metres of one unit of the
@@ -52,7 +45,7 @@ def write_bvh(
     """
     if not (np.isfinite(unit) and unit > 0):
         raise ValueError(f"unit should be positive metres, is {unit}")
-    count = len(motion.root) if isinstance(motion, Clip) else motion.frames
+    count = motion.frames
     if count < 1:
         raise ValueError("a motion should have at least one frame, has none")
     with whole_file(path, "w") as file:
@@ -60,7 +53,8 @@ def write_bvh(
         order = _write_hierarchy(file, rest / unit, unit)
         file.write(f"MOTION\nFrames: {count}\nFrame Time: {1 / float(motion.rate)!r}\n")
         before = np.zeros((52, 3))
-        for clip in _blocks(motion):
+        for first in range(0, count, BLOCK):
+            clip = motion.read(first, min(first + BLOCK, count))
             if not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):
                 raise ValueError("a motion should be finite, is not")
             angles = euler_zxy(matrix_from_axis_angle(clip.axis_angle), before)
@@ -68,14 +62,6 @@ def write_bvh(
             turns = np.degrees(angles)[:, order].reshape(len(angles), 156)
             rows = np.concatenate([clip.root / unit, turns], axis=1)
             np.savetxt(file, rows, fmt="%.9g")
-
-
-def _blocks(motion: Clip | Motion) -> Iterator[Clip]:
-    if isinstance(motion, Clip):
-        yield motion
-        return
-    for first in range(0, motion.frames, BLOCK):
-        yield motion.read(first, min(first + BLOCK, motion.frames))
 
 
 def euler_zxy(R: Float[Array, "frames n 3 3"], before: Float[Array, "n 3"]) -> Float[Array, "frames n 3"]:

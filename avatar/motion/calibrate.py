@@ -19,16 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from avatar.motion.rest_pose import Alignment, RestBones, below_elbow, cosine, snapped, unit
+from avatar.motion.rest_pose import Alignment, RestBones, below_elbow, cosine, hinge, snapped
 from avatar.motion.rig import AnimatedRig, JointMap
 from avatar.rotation import (
     axis_angle_from_matrix,
     axis_name,
     left_up_frame,
-    matrix_from_quaternion,
     nearest_rotation,
-    quaternion_from_matrix,
-    slerp,
+    rotation_part_way,
     unit_or_zero,
 )
 from command.errors import AssetError
@@ -89,9 +87,7 @@ def calibrated_alignment(
     bottom, top = G[:, joints.pelvis] @ pelvis, G[:, joints.chest] @ chest
     column = {joints.pelvis: pelvis, joints.chest: chest}
     for n, joint in enumerate(joints.spine[:-1], start=1):
-        between = matrix_from_quaternion(
-            slerp(quaternion_from_matrix(bottom), quaternion_from_matrix(top), n / len(joints.spine))
-        )
+        between = rotation_part_way(bottom, top, n / len(joints.spine))
         column[joint] = near_axes(_mean_relative(G[:, joint], between))
     for joint in (*joints.neck, joints.head):
         column[joint] = near_axes(_mean_relative(G[:, joint], top))
@@ -125,21 +121,13 @@ def _limb(
     hinges = np.cross(straight, (np.swapaxes(sampled.rotations[:, turn], -1, -2) @ lower)[..., 0])
     sines = np.linalg.norm(hinges, axis=1)
     # wide bends count most: knees that are no hinge, or knock a little, tilt the axis of small ones
-    hinge, agreement = (hinges * sines[:, None]).sum(0), (sines * sines).sum()
+    axis, agreement = (hinges * sines[:, None]).sum(0), (sines * sines).sum()
     upper = bones.rig_bone(chain[0], chain[1])
-    agrees = np.linalg.norm(hinge) > LEAST_AGREEMENT * agreement and abs(cosine(hinge, upper)) < 0.7
+    agrees = np.linalg.norm(axis) > LEAST_AGREEMENT * agreement and abs(cosine(axis, upper)) < 0.7
     if sines.mean() > LEAST_BEND and agrees:
-        ours = OUR_HINGES[chain[0]]
-        return left_up_frame(hinge, upper) @ left_up_frame(ours, bones.ours(chain[0], chain[1])).T
+        return left_up_frame(axis, upper) @ left_up_frame(hinge(chain[0]), bones.ours(chain[0], chain[1])).T
     notes.append(f"{chain[1]}: it hardly bends, so the limb's own turn is only guessed")
     return bones.aligned(_mean_relative(sampled.rotations[:, turn], above), chain[0], chain[1])
-
-
-# the axis about which a joint of ours bends: knees backward, elbows forward
-OUR_HINGES = {
-    "left_hip": np.array([1.0, 0, 0]), "right_hip": np.array([1.0, 0, 0]),
-    "left_shoulder": np.array([0, -1.0, 0]), "right_shoulder": np.array([0, 1.0, 0]),
-}  # fmt: skip
 
 
 def _foot(bones: RestBones, sampled: Sampled, side: str, shin: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -151,9 +139,9 @@ def _foot(bones: RestBones, sampled: Sampled, side: str, shin: Float[Array, "3 3
         return shin
     height = sampled.places[:, bones.joints.places[ankle]] @ sampled.up
     standing = height <= np.percentile(height, LOWEST)
-    directions = sampled.rotations[standing][:, bones.joints.turns[ankle]] @ unit(toe)
+    directions = sampled.rotations[standing][:, bones.joints.turns[ankle]] @ unit_or_zero(toe)
     pitch = float(np.median(np.arcsin(np.clip(directions @ sampled.up, -1, 1))))
-    heading = unit(mine * [1, 0, 1])
+    heading = unit_or_zero(mine * [1, 0, 1])
     pitched = np.cos(pitch) * heading + np.sin(pitch) * np.array([0.0, 1, 0])
     return left_up_frame(across, toe) @ left_up_frame(np.cross([0.0, 1, 0], heading), pitched).T
 

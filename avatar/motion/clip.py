@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from avatar.body import Body, builtin_body
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
@@ -30,6 +30,14 @@ class Clip:
     notes: tuple[str, ...] = ()
     # rest height of the pelvis above the soles of the body that root fits
     pelvis_height: float | None = None
+
+    @property
+    def frames(self) -> int:
+        return len(self.root)
+
+    def read(self, start: int, stop: int) -> "Clip":
+        """Frames start .. stop - 1, as `Motion.read` gives them."""
+        return replace(self, axis_angle=self.axis_angle[start:stop], root=self.root[start:stop])
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,15 @@ class Motion:
             raise ValueError(f"frames {start}:{stop} are not inside {self.name}, which has {self.frames}")
         axis_angle, root = self.block(start, stop)
         return Clip(axis_angle, root, self.rate, self.notes, self.pelvis_height)
+
+    def changed(self, note: str, change: Callable[[Array, Array], tuple[Array, Array]]) -> "Motion":
+        """The motion with poses and roots of each stretch changed, and a note that says so."""
+        return replace(self, notes=(*self.notes, note), block=lambda start, stop: change(*self.block(start, stop)))
+
+
+def spread_frames(count: int, most: int) -> Int[Array, "chosen"]:
+    """At most so many of `count` frames, spread evenly from the first to the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
 def checked_rate(place: str, rate: float) -> float:
@@ -128,9 +145,4 @@ def fitted(motion: Motion, pelvis_height: float) -> Motion:
         return replace(motion, pelvis_height=pelvis_height, notes=(*motion.notes, note))
     ratio = pelvis_height / motion.pelvis_height
     note = f"root: scaled by {ratio:.3f}, the ratio of pelvis heights"
-
-    def block(start: int, stop: int) -> tuple[Array, Array]:
-        axis_angle, root = motion.block(start, stop)
-        return axis_angle, root * ratio
-
-    return replace(motion, pelvis_height=pelvis_height, notes=(*motion.notes, note), block=block)
+    return replace(motion.changed(note, lambda pose, root: (pose, root * ratio)), pelvis_height=pelvis_height)

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.body import Body
-from avatar.motion.clip import Motion
+from avatar.motion.clip import Motion, spread_frames
 from avatar.motion.pose_vector import (
     NEEDS_MODEL,
     TURNS,
@@ -33,6 +33,7 @@ from avatar.motion.pose_vector import (
     pose_layout,
     readable,
     up_axis,
+    upright_of,
     usual_pelvis,
 )
 from avatar.rotation import (
@@ -67,22 +68,15 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
     path = Path(path)
     notes: list[str] = []
     name_of, frames = _frames(path, notes)
-    people = _people(name_of(0))
-    person = min(people)
-    if len(people) > 1:
-        notes.append(f"people: {sorted(people)} in the first frame, {person} is read")
-    first = people[person]
-    lengths = _lengths(name_of(0), first)
-    layout, apart = _layout(name_of(0), lengths, body, notes)
+    person, lengths, layout, apart = _opened(name_of(0), body, notes)
 
     def rows(start: int, stop: int) -> dict[str, Array]:
         return _rows([name_of(frame) for frame in range(start, stop)], person, lengths)
 
-    sample = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLED_FRAMES)).astype(int))
-    seen = [(name_of(int(k)), _people(name_of(int(k)))) for k in sample]
+    seen = [(name_of(int(k)), _people(name_of(int(k)))) for k in spread_frames(frames, SAMPLED_FRAMES)]
     # a frame without the person is an error when it is read, not before
     Rh = [_numbers(file, here[person], "Rh") for file, here in seen if person in here]
-    turn = np.array(TURNS[up_axis(np.array(Rh), notes)])
+    turn = np.array(TURNS[up_axis(upright_of(np.array(Rh)), notes)])
     W = matrix_from_quaternion(turn)
     shapes = rows(0, 1).get("shapes", np.zeros((1, 0)))[0]
     given = given_pelvis(shapes, body, notes, what="Th + R J0, J0")
@@ -132,13 +126,8 @@ def read_fit(files: Sequence[Path], *, body: Body) -> EasyMocapFit:
     Raises:
         AssetError: as `read_easymocap`.
     """
-    people = _people(files[0])
-    person = min(people)
     notes: list[str] = []
-    if len(people) > 1:
-        notes.append(f"people: {sorted(people)} in the first frame, {person} is read")
-    lengths = _lengths(files[0], people[person])
-    layout, apart = _layout(files[0], lengths, body, notes)
+    person, lengths, layout, apart = _opened(files[0], body, notes)
     values = _rows(files, person, lengths)
     pose = _joint_poses(values, layout, apart, body)
     if pose[:, 0].any():
@@ -149,13 +138,18 @@ def read_fit(files: Sequence[Path], *, body: Body) -> EasyMocapFit:
     return EasyMocapFit(pose, values["Rh"], values["Th"], values.get("shapes", np.zeros((len(files), 0))), tuple(notes))
 
 
-def _lengths(path: Path, person: JsonObject) -> dict[str, int]:
-    """How many numbers each field has."""
-    return {
-        key: len(_numbers(path, person, key))
+def _opened(first: Path, body: Body | None, notes: list[str]) -> tuple[int, dict[str, int], PoseLayout, int]:
+    """Who is read of the first frame's file, how many numbers each field has, and `_layout` of them."""
+    people = _people(first)
+    person = min(people)
+    if len(people) > 1:
+        notes.append(f"people: {sorted(people)} in the first frame, {person} is read")
+    lengths = {
+        key: len(_numbers(first, people[person], key))
         for key in ("poses", "Rh", "Th", "shapes", "handl", "handr")
-        if key in person or key in ("poses", "Rh", "Th")
+        if key in people[person] or key in ("poses", "Rh", "Th")
     }
+    return person, lengths, *_layout(first, lengths, body, notes)
 
 
 def _rows(files: Sequence[Path], person: int, lengths: dict[str, int]) -> dict[str, Array]:

@@ -11,7 +11,6 @@ stay jumps and stairs stay stairs. Where fewer than a tenth of the frames touch 
 climbs all the time) there is no ground to be seen, and the heights stay as they are in the file.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -63,15 +62,7 @@ def find_ground(motion: Motion, hull: BodyHull) -> GroundLevel:
 def on_ground(motion: Motion, hull: BodyHull) -> Motion:
     """The motion, moved up or down as a whole so that the soles of this body stand at y = 0, with a note."""
     lift, note = find_ground(motion, hull)
-    notes = (*motion.notes, note)
-    if lift == 0:
-        return replace(motion, notes=notes)
-
-    def block(start: int, stop: int) -> tuple[Array, Array]:
-        axis_angle, root = motion.block(start, stop)
-        return axis_angle, root + [0.0, lift, 0.0]
-
-    return replace(motion, notes=notes, block=block)
+    return motion.changed(note, lambda pose, root: (pose, root + [0.0, lift, 0.0] if lift else root))
 
 
 def _lowest_points(motion: Motion, hull: BodyHull) -> Float[Array, "frames"]:

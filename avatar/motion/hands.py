@@ -43,11 +43,10 @@ def with_hands(motion: Motion, choice: str, body: Body | None = None) -> Motion:
         hands = body.hands.mean.reshape(30, 3)
         note = f"hands: the mean of {body.name}, in place of the file's"
 
-    def block(start: int, stop: int) -> tuple[Array, Array]:
-        axis_angle, root = motion.block(start, stop)
+    def change(axis_angle: Array, root: Array) -> tuple[Array, Array]:
         axis_angle = axis_angle.copy()
         axis_angle[:, 22:] = hands
         return axis_angle, root
 
-    kept = tuple(n for n in motion.notes if not n.startswith("hands:"))
-    return replace(motion, notes=(*kept, note), block=block)
+    kept = replace(motion, notes=tuple(n for n in motion.notes if not n.startswith("hands:")))
+    return kept.changed(note, change)

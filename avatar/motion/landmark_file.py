@@ -17,7 +17,7 @@ taken.
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from jaxtyping import Float
@@ -102,9 +102,13 @@ def _positive(path: Path, content: JsonObject, key: str) -> float | None:
     value = content.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < LARGEST:
+    if not (_number(value) and 0 < value < LARGEST):
         raise AssetError(f"{path}: {key} should be a positive number, is {str(value)[:40]!r}")
     return float(value)
+
+
+def _number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _frame(place: str, content: object, notes: list[str]) -> Frame:
@@ -165,7 +169,7 @@ def _points(place: str, items: object, counts: tuple[int, ...]) -> Float[Array, 
             value = item.get(name)
             if value is None and name == "visibility":
                 continue
-            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+            if not (_number(value) and abs(value) < LARGEST):
                 raise AssetError(f"{place}: landmark {k}: {name} should be a finite number, is {str(value)[:40]!r}")
             out[k, column] = value
     return out

@@ -22,17 +22,16 @@ from jaxtyping import Bool, Float
 
 from avatar.limits import axis_angle_from_joint_angles, clamped_angles, joint_angles, limits
 from avatar.motion.fingers import FINGERS
-from avatar.motion.mhr_rig import HINGES, twist_about
+from avatar.motion.mhr_rig import ELBOW_SHARE, twist_about
+from avatar.motion.rest_pose import hinge
 from avatar.rotation import (
     axis_angle_from_matrix,
     left_up_frame,
     matrix_from_axis_angle,
-    matrix_from_quaternion,
     nearest_rotation,
     palm_frame,
-    quaternion_from_matrix,
     rotation_between,
-    slerp,
+    rotation_part_way,
     unit_or_zero,
 )
 from avatar.skeleton import JOINT_NUMBERS as J
@@ -53,7 +52,6 @@ FACE_AT_REST = np.array([
 HAND_STARTS = {"thumb": 1, "index": 5, "middle": 9, "ring": 13, "pinky": 17}
 # sines of a bend: below the first it says nothing of the hinge, above the second everything
 BENDS = (np.sin(np.radians(10)), np.sin(np.radians(30)))
-ELBOW_SHARE = 0.5
 
 
 class Points(NamedTuple):
@@ -117,9 +115,9 @@ def _body(P: Float[Array, "frames 33 3"], ours: Array, seen: Bool[Array, "33"]) 
     bottom, top = trunk("hip"), trunk("shoulder")
     R[:, 0], R[:, J["spine3"]] = bottom, top
     for name, part in (("spine1", 1 / 3), ("spine2", 2 / 3)):
-        R[:, J[name]] = _between(bottom, top, part)
+        R[:, J[name]] = rotation_part_way(bottom, top, part)
     R[:, J["head"]] = _face(P) if seen[list(FACE)].all() else top
-    R[:, J["neck"]] = _between(top, R[:, J["head"]], 0.5)
+    R[:, J["neck"]] = rotation_part_way(top, R[:, J["head"]], 0.5)
     for n, side in enumerate(("left", "right")):
         R[:, J[f"{side}_collar"]] = top
         for chain, base in ((("hip", "knee", "ankle"), bottom), (("shoulder", "elbow", "wrist"), top)):
@@ -127,8 +125,7 @@ def _body(P: Float[Array, "frames 33 3"], ours: Array, seen: Bool[Array, "33"]) 
             upper, lower = (ours[J[b]] - ours[J[a]] for a, b in zip(names, names[1:], strict=False))
             ways = [at[b][n] - at[a][n] for a, b in zip(chain, chain[1:], strict=False)]
             have = [bool(seen[PAIRS[name][n]]) for name in chain]
-            hinge = np.array(HINGES[chain[0]]) * (np.array([1, -1, -1]) if side == "right" else 1)
-            first, second = _limb(base, (upper, lower), ways, hinge, have=have, one_sided=chain[0] == "hip")
+            first, second = _limb(base, (upper, lower), ways, hinge(names[0]), have=have, one_sided=chain[0] == "hip")
             R[:, J[names[0]]], R[:, J[names[1]]] = first, second
             R[:, J[names[2]]] = second
         ankle, foot = J[f"{side}_ankle"], J[f"{side}_foot"]
@@ -144,14 +141,15 @@ def _limb(
     base: Float[Array, "frames 3 3"],
     bones: tuple[Float[Array, "3"], Float[Array, "3"]],
     ways: list[Float[Array, "frames 3"]],
-    hinge: Float[Array, "3"],
+    axis: Float[Array, "3"],
     *,
     have: list[bool],
     one_sided: bool,
 ) -> tuple[Float[Array, "frames 3 3"], Float[Array, "frames 3 3"]]:
     """World rotations of the upper and the lower bone of an arm or a leg.
 
-    `one_sided`: what bends against the hinge is noise (knees), rather than a limb that is turned half round (arms).
+    `axis` is the limb's hinge. `one_sided`: what bends against it is noise (knees), rather than a limb that is turned
+    half round (arms).
     """
     if not (have[0] and have[1]):
         return base, base
@@ -161,7 +159,7 @@ def _limb(
         return first, first
     bend = np.cross(upper, lower)
     sine = np.linalg.norm(bend, axis=-1)
-    swung = first @ hinge
+    swung = first @ axis
     swung = unit_or_zero(swung - upper * np.sum(swung * upper, -1, keepdims=True))
     angle = np.arctan2(np.sum(np.cross(swung, bend) * upper, -1), np.sum(swung * bend, -1))
     weight = np.clip((sine - BENDS[0]) / (BENDS[1] - BENDS[0]), 0, 1)
@@ -232,10 +230,6 @@ def _boxed(angles: Float[Array, "frames 52 3"]) -> Float[Array, "frames 52 3"]:
 
 def _finger_joints(side: str) -> list[int]:
     return [J[f"{side}_{finger}{n}"] for finger in FINGERS for n in (1, 2, 3)]
-
-
-def _between(a: Float[Array, "frames 3 3"], b: Float[Array, "frames 3 3"], part: float) -> Float[Array, "frames 3 3"]:
-    return matrix_from_quaternion(slerp(quaternion_from_matrix(a), quaternion_from_matrix(b), part))
 
 
 def _middle(pair: tuple[Array, Array]) -> Array:

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, checked_rate
 from avatar.motion.landmark_file import WHAT, FilmFacts, Frame, is_mediapipe, read_landmarks
 from avatar.motion.landmark_pose import BODY_POINTS, HAND_POINTS, PAIRS, Points, pose_from_points
+from avatar.motion.smplh_rig import leg_length
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINT_NUMBERS as J
 from command.errors import AssetError
@@ -255,18 +256,16 @@ def _root(
     root = np.zeros((len(body), 3))
     if not np.isfinite(body).any():
         return root
-    legs = [
-        np.linalg.norm(ours[J[f"left_{b}"]] - ours[J[f"left_{a}"]]) for a, b in (("hip", "knee"), ("knee", "ankle"))
-    ]
+    leg = leg_length(ours, J)
     hips = (ours[J["left_hip"]] + ours[J["right_hip"]]) / 2
     if np.isfinite(seen_hips).all(1).any():
         places = _filled(seen_hips[:, None], len(seen_hips))[:, 0]
         # one scale for all frames: a person who bends the knees in depth does not shrink
-        scale = sum(legs) / float(np.percentile(places[:, 2], 90))
+        scale = leg / float(np.percentile(places[:, 2], 90))
         root[:, :2] = scale * places[:, :2]
         notes.append("root: from the hips in the picture, sideways and up; depth is not seen")
     else:
-        scale = sum(legs) / float(np.median(_leg(body)))
+        scale = leg / float(np.median(_leg(body)))
         middle = body[:, list(PAIRS["hip"])].mean(1)
         feet = body[:, [*PAIRS["heel"], *PAIRS["toe"], *PAIRS["ankle"]], 1].min(1)
         root[:, 1] = scale * (middle[:, 1] - feet)

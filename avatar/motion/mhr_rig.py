@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.motion.fingers import FINGERS, MIRROR, finger_axes
-from avatar.motion.rest_pose import Alignment
+from avatar.motion.rest_pose import Alignment, hinge
 from avatar.rotation import (
     left_up_frame,
     matrix_from_axis_angle,
@@ -35,6 +35,7 @@ from avatar.rotation import (
     unit_or_zero,
 )
 from avatar.skeleton import JOINT_NUMBERS as J
+from avatar.skeleton import JOINTS, PARENTS
 
 Array = np.ndarray
 
@@ -67,8 +68,6 @@ NECK_TILT, HEAD_TILT = np.radians(19.0), np.radians(2.2)
 _PALM = np.array([[0.999, 0.045, 0.008], [0.046, -0.991, -0.124], [0.002, 0.124, -0.992]])
 # the elbow's part of the forearm's turn
 ELBOW_SHARE = 0.5
-# the knee bends about +x, the left elbow about -y, the right one about +y (avatar/motion/calibrate.py)
-HINGES = {"hip": (1.0, 0, 0), "knee": (1.0, 0, 0), "shoulder": (0, -1.0, 0), "elbow": (0, -1.0, 0)}
 
 
 def _numbers() -> dict[str, tuple[int, int]]:
@@ -88,23 +87,8 @@ NAMES = tuple(NUMBERS)
 
 
 def _parent(name: str) -> str:
-    chain = ("pelvis", "spine0", "spine1", "spine2", "spine3", "neck", "head")
-    if name in chain[1:]:
-        return chain[chain.index(name) - 1]
-    side, base = name.split("_")
-    above = {
-        "knee": "hip",
-        "ankle": "knee",
-        "foot": "ankle",
-        "shoulder": "collar",
-        "elbow": "shoulder",
-        "wrist": "elbow",
-    }
-    if base in above:
-        return f"{side}_{above[base]}"
-    if base in ("hip", "collar"):
-        return "pelvis" if base == "hip" else "spine3"
-    return f"{side}_{base[:-1]}{int(base[-1]) - 1}" if base[-1] != "1" else f"{side}_wrist"
+    """As our skeleton has it, with one joint more between pelvis and spine."""
+    return {"spine0": "pelvis", "spine1": "spine0"}.get(name) or JOINTS[PARENTS[J[name]]]
 
 
 @dataclass(frozen=True)
@@ -180,13 +164,13 @@ def mhr_alignment(ours: Float[Array, "52 3"]) -> Alignment:
     curl = finger_axes()[0]
     for side in ("left", "right"):
         for name, end in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")):
-            hinge = np.array(HINGES[name]) * (MIRROR if side == "right" else 1)
-            A[f"{side}_{name}"] = _hinged(ours[J[f"{side}_{end}"]] - ours[J[f"{side}_{name}"]], hinge, side)
+            bone = ours[J[f"{side}_{end}"]] - ours[J[f"{side}_{name}"]]
+            A[f"{side}_{name}"] = _hinged(bone, hinge(f"{side}_{name}"), side)
         for n, finger in enumerate(FINGERS):
             for k in range(3):
                 a, b = (f"{side}_{finger}{min(k, 1) + 1}", f"{side}_{finger}{min(k, 1) + 2}")
-                hinge = curl[n, k] * (MIRROR if side == "right" else 1)
-                A[f"{side}_{finger}{k + 1}"] = _hinged(ours[J[b]] - ours[J[a]], hinge, side)
+                axis = curl[n, k] * (MIRROR if side == "right" else 1)
+                A[f"{side}_{finger}{k + 1}"] = _hinged(ours[J[b]] - ours[J[a]], axis, side)
         A[f"{side}_wrist"] = _our_palm(ours, side).T
         for name, rest in (("collar", _COLLAR), ("ankle", _ANKLE), ("foot", _TOES)):
             A[f"{side}_{name}"] = mirrored_rest(rest, side).T
@@ -248,9 +232,9 @@ def _end(side: str, name: str) -> int:
     return NUMBERS[f"{side}_{name}"][1]
 
 
-def _hinged(bone: Float[Array, "3"], hinge: Float[Array, "3"], side: str) -> Float[Array, "3 3"]:
-    """The turn that lays our bone along x, and our hinge on z."""
-    return left_up_frame(np.array([0.0, 0, 1]), np.array([sign(side), 0, 0])) @ left_up_frame(hinge, bone).T
+def _hinged(bone: Float[Array, "3"], axis: Float[Array, "3"], side: str) -> Float[Array, "3 3"]:
+    """The turn that lays our bone along x, and the axis that it is bent about on z."""
+    return left_up_frame(np.array([0.0, 0, 1]), np.array([sign(side), 0, 0])) @ left_up_frame(axis, bone).T
 
 
 def _our_palm(ours: Float[Array, "52 3"], side: str) -> Float[Array, "3 3"]:

@@ -141,9 +141,14 @@ TURNS = {  # quaternion xyzw that takes the axis to +y
 }  # fmt: skip
 
 
-def up_axis(root: Float[Array, "frames 3"], notes: list[str]) -> str:
-    """ "+y", "-y", "+z" ...: the axis that the bodies with these pelvis rotations mostly stand along."""
-    name = axis_name(matrix_from_axis_angle(root)[:, :, 1].mean(0))
+def upright_of(root: Float[Array, "frames 3"]) -> Float[Array, "3"]:
+    """The direction that bodies with these pelvis rotations stand along, on average."""
+    return matrix_from_axis_angle(root)[:, :, 1].mean(0)
+
+
+def up_axis(upright: Float[Array, "3"], notes: list[str]) -> str:
+    """ "+y", "-y", "+z" ...: the axis that a direction which bodies stand along is nearest to."""
+    name = axis_name(upright)
     turned = "" if name == "+y" else ", turned to y"
     notes.append(f"up: {name}, the axis the body mostly stands along (the file does not say){turned}")
     return name

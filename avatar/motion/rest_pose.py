@@ -9,13 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from avatar.motion.fingers import MIRROR
 from avatar.motion.rig import FINGER_NAMES, AnimatedRig, JointMap
 from avatar.rotation import (
     axis_angle_from_matrix,
     axis_name,
     left_up_frame,
     matrix_from_axis_angle,
+    palm_frame,
     rotation_between,
+    unit_or_zero,
 )
 from avatar.skeleton import JOINT_NUMBERS as J
 from command.errors import AssetError
@@ -64,7 +67,7 @@ class RestBones:
         bone = self.rig_bone(a, b)
         if np.linalg.norm(bone) < 1e-9:
             return base
-        return rotation_between(unit(base @ self.ours(a, b)), unit(bone)) @ base
+        return rotation_between(unit_or_zero(base @ self.ours(a, b)), unit_or_zero(bone)) @ base
 
 
 def rests_standing(rig: AnimatedRig, joints: JointMap) -> bool:
@@ -127,11 +130,11 @@ def below_elbow(bones: RestBones, side: str, upper_arm: Float[Array, "3 3"]) -> 
     A[wrist] = A[elbow]
     names = [f"{side}_{n}" for n in ("middle1", "index1", "pinky1")]
     if all(name in places for name in (wrist, *names)):
-        mine = _palm(bones.ours(wrist, names[0]), bones.ours(names[2], names[1]))
-        bone = _palm(bones.rig_bone(wrist, names[0]), bones.rig_bone(names[2], names[1]))
+        along, across = bones.rig_bone(wrist, names[0]), bones.rig_bone(names[2], names[1])
         # finger joints at one place span no palm
-        if np.isfinite(bone).all():
-            A[wrist] = bone @ mine.T
+        if np.linalg.norm(np.cross(along, across)) > 1e-9 * np.linalg.norm(along):
+            mine = palm_frame(bones.ours(wrist, names[0]), bones.ours(names[2], names[1]))
+            A[wrist] = palm_frame(along, across) @ mine.T
     for finger in FINGER_NAMES:
         base = A[wrist]
         for n in (1, 2, 3):
@@ -142,8 +145,14 @@ def below_elbow(bones: RestBones, side: str, upper_arm: Float[Array, "3 3"]) -> 
     return A
 
 
-def unit(v: Array) -> Array:
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+# the axis about which a limb of the left side bends, by its upper and by its lower joint
+_HINGES = {"hip": (1.0, 0, 0), "knee": (1.0, 0, 0), "shoulder": (0, -1.0, 0), "elbow": (0, -1.0, 0)}
+
+
+def hinge(joint: str) -> Float[Array, "3"]:
+    """The axis about which the limb of one of our joints bends: knees backward, elbows forward."""
+    side, name = joint.split("_")
+    return np.array(_HINGES[name]) * (MIRROR if side == "right" else 1)
 
 
 def cosine(a: Float[Array, "3"], b: Float[Array, "3"]) -> float:
@@ -171,16 +180,6 @@ def check_torso(rig: AnimatedRig, left: Array, up: Array) -> None:
     """
     if np.linalg.norm(left) == 0 or np.linalg.norm(up) == 0:
         raise AssetError(f"{rig.path}: hips or hips and head rest at the same place")
-
-
-def _palm(along: Array, across: Array) -> Float[Array, "3 3"]:
-    """Frame of a palm; NaN where the two directions are parallel or have no length."""
-    length = np.linalg.norm(along)
-    x = along / length if length > 1e-9 else np.full(3, np.nan)
-    z = across - x * (across @ x)
-    length = np.linalg.norm(z)
-    z = z / length if length > 1e-9 else np.full(3, np.nan)
-    return np.stack([x, np.cross(z, x), z], -1)
 
 
 def _heading(ours: Array, foot: Array) -> Float[Array, "3 3"]:

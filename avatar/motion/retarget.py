@@ -15,16 +15,12 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.motion.calibrate import Sampled, calibrated_alignment
-from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton
+from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, spread_frames
+from avatar.motion.pose_vector import TURNS, up_axis
 from avatar.motion.rest_pose import Alignment, check_torso, rest_alignment, rests_standing
 from avatar.motion.rig import AnimatedRig, JointMap, find_joints
-from avatar.rotation import (
-    axis_angle_from_matrix,
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    rotation_between,
-    slerp,
-)
+from avatar.motion.smplh_rig import leg_length
+from avatar.rotation import axis_angle_from_matrix, matrix_from_quaternion, rotation_part_way
 from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS
 from command.errors import AssetError
@@ -64,24 +60,17 @@ def retarget(
         notes.append("hands: no separate fingers in the file, flat")
     hips = [joints.places["left_hip"], joints.places["right_hip"]]
 
-    sample = np.unique(np.linspace(0, rig.frames - 1, min(rig.frames, SAMPLED_FRAMES)).astype(int))
+    sample = spread_frames(rig.frames, SAMPLED_FRAMES)
     G, at = rig.transforms(np.concatenate([rig.values(int(k), int(k) + 1) for k in sample]))
     upright = (at[:, joints.head] - at[:, hips].mean(1)).mean(0)
     check_torso(rig, at[0, hips[0]] - at[0, hips[1]], upright)
-    known = alignment is not None
-    if alignment is not None:
-        W = np.eye(3) if up_known else _world_turn(upright, notes)
-        scale = _scale(rig, joints.places, ours, notes)
-    elif rests_standing(rig, joints):
-        with_leg, flat = rest_alignment(rig, joints, ours, notes)
-        scale = _scale(rig, joints.places, ours, notes)
-        W = np.eye(3) if up_known else _world_turn(upright, notes)
-        alignment = _flatter(joints, G, W, with_leg, flat, notes)
-    else:
-        W = np.eye(3) if up_known else _world_turn(upright, notes)
-        alignment = calibrated_alignment(rig, joints, Sampled(G, at, W[1]), ours, notes)
-        scale = _scale(rig, joints.places, ours, notes)
-    if not known:
+    W = matrix_from_quaternion(np.array(TURNS["+y" if up_known else up_axis(upright, notes)])).round()
+    scale = _scale(rig, joints.places, ours, notes)
+    if alignment is None:
+        if rests_standing(rig, joints):
+            alignment = _flatter(joints, G, W, *rest_alignment(rig, joints, ours, notes), notes)
+        else:
+            alignment = calibrated_alignment(rig, joints, Sampled(G, at, W[1]), ours, notes)
         _note_calibration(rig, joints, notes)
     # from the pelvis joint to the middle of the hips, in the pelvis's frame
     offset = (ours[J["left_hip"]] + ours[J["right_hip"]]) / 2
@@ -124,33 +113,16 @@ def _along(chain: list[Array], part: float) -> Array:
     rest = place - first
     if rest < 1e-9:
         return chain[first]
-    a, b = quaternion_from_matrix(chain[first]), quaternion_from_matrix(chain[first + 1])
-    return matrix_from_quaternion(slerp(a, b, rest))
+    return rotation_part_way(chain[first], chain[first + 1], rest)
 
 
 def _scale(rig: AnimatedRig, places: dict[str, int], ours: Array, notes: list[str]) -> float:
     """Metres of the avatar in one unit of the file, by the length of the legs."""
-
-    def leg(at: Array, index: dict[str, int]) -> float:
-        pairs = [(f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))]
-        return sum(float(np.linalg.norm(at[index[b]] - at[index[a]])) for a, b in pairs) / 2
-
-    rig_leg, mine = leg(rig.rest_positions(), places), leg(ours, J)
+    rig_leg, mine = leg_length(rig.rest_positions(), places), leg_length(ours, J)
     if not rig_leg > 0:
         raise AssetError(f"{rig.path}: the legs have no length")
     notes.append(f"scale: leg {rig_leg:.4g} units -> {mine:.3f} m, root scaled by {mine / rig_leg:.5g}")
     return mine / rig_leg
-
-
-def _world_turn(upright: Array, notes: list[str]) -> Float[Array, "3 3"]:
-    """Rotation taking the file's up axis, the one the body mostly stands along, to +y."""
-    axis = int(np.argmax(np.abs(upright)))
-    sign = "+" if upright[axis] > 0 else "-"
-    up = np.eye(3)[axis] * (1 if sign == "+" else -1)
-    notes.append(
-        f"up: {sign}{'xyz'[axis]}, the axis the body mostly stands along" + (", turned to y" if up[1] != 1 else "")
-    )
-    return np.round(rotation_between(up, np.array([0.0, 1, 0])))
 
 
 def _flatter(joints: JointMap, G: Array, W: Array, with_leg: Alignment, flat: Alignment, notes: list[str]) -> Alignment:

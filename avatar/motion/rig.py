@@ -36,7 +36,7 @@ REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow")
 @runtime_checkable
 class AnimatedRig(Protocol):
     """An animated skeleton in its own units and axes: a BVH file (avatar/motion/bvh.py),
-    a glTF animation (gltf_motion.py).
+    a glTF animation (avatar/motion/gltf.py).
     """
 
     @property

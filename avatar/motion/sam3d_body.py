@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton
+from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, spread_frames
 from avatar.motion.mhr_rig import MHR_JOINTS, NUMBERS, MhrRig, mhr_alignment, off_bones
 from avatar.motion.retarget import retarget
 from command.errors import AssetError
@@ -65,8 +65,7 @@ def read_sam3d_body(path: Path | str, skeleton: RestSkeleton | None = None) -> M
     notes: list[str] = []
     frames, rows, placed = _opened(path, notes)
     skeleton = builtin_skeleton() if skeleton is None else skeleton
-    sample = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLED_FRAMES)).astype(int))
-    seen = [rows(int(k), int(k) + 1) for k in sample]
+    seen = [rows(int(k), int(k) + 1) for k in spread_frames(frames, SAMPLED_FRAMES)]
     turn = _turned(path, np.concatenate([s[1] for s in seen]), np.concatenate([s[0] for s in seen]), notes)
 
     def read(start: int, stop: int) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.body import Body
-from avatar.motion.clip import Motion, checked_pelvis_height, checked_rate
+from avatar.motion.clip import Motion, checked_pelvis_height, checked_rate, spread_frames
 from avatar.motion.pose_vector import (
     FULL_HANDS,
     LARGEST,
@@ -38,6 +38,7 @@ from avatar.motion.pose_vector import (
     pose_layout,
     readable,
     up_axis,
+    upright_of,
     usual_pelvis,
 )
 from avatar.rotation import matrix_from_quaternion, turned
@@ -256,11 +257,11 @@ def _up(fields: PoseFields, poses: _Poses, notes: list[str]) -> str:
     if fields.usual_up is not None:
         notes.append(f"up: {fields.usual_up}, as AMASS files have it; turned to y")
         return f"+{fields.usual_up}"
-    sample = np.unique(np.linspace(0, poses.frames - 1, min(poses.frames, SAMPLED_FRAMES)).astype(int))
+    sample = spread_frames(poses.frames, SAMPLED_FRAMES)
     root = np.concatenate([poses.rows(int(k), int(k) + 1)[:, :3] for k in sample])
     for k, one in zip(sample, root, strict=True):
         check_numbers(fields.path, poses.names[0], one[None, None], int(k))
-    return up_axis(root, notes)
+    return up_axis(upright_of(root), notes)
 
 
 def _pelvis(fields: PoseFields, body: Body | None, up: str, notes: list[str]) -> tuple[Float[Array, "3"], float | None]:

@@ -58,9 +58,9 @@ def off_t_pose(at: Float[Array, "nodes 3"], place: dict[str, int]) -> float:
 
 
 def leg_length(at: Float[Array, "nodes 3"], place: dict[str, int]) -> float:
-    """Left thigh and shin together, in the units of `at`."""
-    chain = [place[f"left_{name}"] for name in ("hip", "knee", "ankle")]
-    return float(sum(np.linalg.norm(at[b] - at[a]) for a, b in zip(chain, chain[1:], strict=False)))
+    """Thigh and shin together, mean of both sides, in the units of `at`."""
+    chains = [[at[place[f"{side}_{name}"]] for name in ("hip", "knee", "ankle")] for side in ("left", "right")]
+    return float(np.linalg.norm(np.diff(chains, axis=1), axis=-1).sum()) / 2
 
 
 def read_exactly(rig: AnimatedRig, notes: list[str], unit: float = 1.0, pelvis_height: float | None = None) -> Motion:

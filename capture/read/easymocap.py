@@ -19,7 +19,7 @@ from jaxtyping import Float
 from avatar.body import Body, shaped
 from avatar.camera import Camera
 from avatar.motion.easymocap import RESULT_FOLDERS, EasyMocapFit, frame_numbers, read_fit
-from avatar.motion.pose_vector import TURNS, up_axis
+from avatar.motion.pose_vector import TURNS, up_axis, upright_of
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
@@ -100,7 +100,7 @@ def _fitted_video(
     images = tuple(image for image, _ in files)
     camera = _world_camera(folder, images[0])
     video_notes: list[str] = []
-    turn = matrix_from_quaternion(np.array(TURNS[up_axis(fit.Rh, video_notes)]))
+    turn = matrix_from_quaternion(np.array(TURNS[up_axis(upright_of(fit.Rh), video_notes)]))
     notes += [f"{folder.name}: {note}" for note in video_notes]
     own = np.stack([body.joints + body.joint_directions[..., : len(s)] @ s for s in fit.shapes])
     R = matrix_from_axis_angle(fit.Rh)
