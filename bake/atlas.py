@@ -18,25 +18,27 @@ from jaxtyping import Float, Integer
 from command.errors import AssetError
 from files.npz import read_npz
 
+Array = np.ndarray
+
 
 class Unwrapped(NamedTuple):
     """A mesh cut into charts: an atlas vertex is one vertex of the mesh in one chart."""
 
     # the vertex each atlas vertex copies
-    source: Integer[np.ndarray, "corners"]
-    uv: Float[np.ndarray, "corners 2"]  # [0, 1], v down as in glTF
+    source: Integer[Array, "corners"]
+    uv: Float[Array, "corners 2"]  # [0, 1], v down as in glTF
     # atlas vertices; the order is the input's, part by part
-    faces: Integer[np.ndarray, "faces 3"]
-    face_part: Integer[np.ndarray, "faces"]
+    faces: Integer[Array, "faces 3"]
+    face_part: Integer[Array, "faces"]
     charts: int
     utilisation: float  # share of the atlas that charts cover
 
 
 def unwrap(
-    vertices: Float[np.ndarray, "vertices 3"],
-    faces: Integer[np.ndarray, "faces 3"],
-    face_part: Integer[np.ndarray, "faces"],
-    density: Float[np.ndarray, "parts"],
+    vertices: Float[Array, "vertices 3"],
+    faces: Integer[Array, "faces 3"],
+    face_part: Integer[Array, "faces"],
+    density: Float[Array, "parts"],
     *,
     size: int,
     padding: int,
@@ -85,14 +87,7 @@ def unwrap(
     return result
 
 
-def pack(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    face_part: np.ndarray,
-    density: np.ndarray,
-    size: int,
-    padding: int,
-) -> Unwrapped:
+def pack(vertices: Array, faces: Array, face_part: Array, density: Array, size: int, padding: int) -> Unwrapped:
     """What `unwrap` runs in its process: one xatlas mesh per part, scaled by the part's density."""
     import xatlas
 
@@ -115,29 +110,20 @@ def pack(
     atlas.generate(xatlas.ChartOptions(), options)
     if atlas.atlas_count > 1:
         raise RuntimeError(f"{atlas.atlas_count} atlases")
-    source, uv, triangles, parts, start, charts = [], [], [], [], 0, 0
+    pieces, start, charts = [], 0, 0
     for i, (part, own, kept) in enumerate(used):
         mapping, indices, coordinates = atlas[i]
         mapping, indices, coordinates = place_degenerate_faces(atlas, i, mapping, indices.astype(np.int64), coordinates)
-        source.append(kept[mapping])
-        uv.append(coordinates)
-        triangles.append(indices + start)
-        parts.append(np.full(len(indices), part))
         if len(indices) != len(own):
             raise RuntimeError(f"part {part}: {len(own)} triangles in, {len(indices)} out")
+        pieces.append((kept[mapping], coordinates, indices + start, np.full(len(indices), part)))
         start += len(mapping)
         charts += atlas.get_mesh_chart_count(i)
-    return Unwrapped(
-        np.concatenate(source),
-        np.concatenate(uv),
-        np.concatenate(triangles),
-        np.concatenate(parts),
-        charts,
-        float(atlas.utilization),
-    )
+    source, uv, triangles, parts = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    return Unwrapped(source, uv, triangles, parts, charts, float(atlas.utilization))
 
 
-def place_degenerate_faces(atlas: Any, number: int, mapping: np.ndarray, indices: np.ndarray, uv: np.ndarray) -> tuple:
+def place_degenerate_faces(atlas: Any, number: int, mapping: Array, indices: Array, uv: Array) -> tuple:
     """Texture coordinates for the triangles without area, which the unwrapper leaves in no chart, at (0, 0).
 
     All three corners get the place that one of them has in a chart: the triangle shows one color, and is not

@@ -18,7 +18,7 @@ from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
 from bake.field import NumpyField, numpy_field
-from bake.layers import Layer, collapsed, extract_layers, layered_data, layers_of
+from bake.layers import SurfaceLayer, collapsed, extract_layers, layered_data, layers_of
 from bake.level import (
     BakedLevel,
     PlacesOnFinest,
@@ -47,7 +47,7 @@ from bake.twist import with_twist
 from capture.check.unseen import unseen_places
 from capture.folder import CaptureSubject
 from command.errors import AssetError
-from geometry.isosurface import Extraction
+from geometry.isosurface import Extraction, GridSteps
 from geometry.mesh import TriangleMesh, enclosed_volume
 from train.run import BakeSource, read_run
 from train.surface import Surface
@@ -106,12 +106,7 @@ def bake_run(
         "texture": options.texture,
         "quality": options.quality,
         "seed": options.seed,
-        "surface": {
-            "triangles": len(extraction.mesh.faces),
-            "residual_mm": rounded(extraction.residual * 1e3),
-            "islands_dropped": extraction.islands,
-            "island_area_share": rounded(extraction.island_area),
-        },
+        "surface": surface_facts(extraction),
         "seen_share": rounded(float((origin.cone.seen > 0.5).mean())),
         "texture_from": options.texture_from,
         "distilled_db": {k: rounded(v) for k, v in distilled.decibels.items()},
@@ -148,23 +143,27 @@ def bake_run(
     return written(replace(avatar, default_view=view), out, facts, options, clock)
 
 
+def surface_facts(extraction: Extraction) -> Facts:
+    """What the file says of the surface that was extracted."""
+    return {
+        "triangles": len(extraction.mesh.faces),
+        "residual_mm": rounded(extraction.residual * 1e3),
+        "islands_dropped": extraction.islands,
+        "island_area_share": rounded(extraction.island_area),
+    }
+
+
 def extracted(
     run: BakeSource, origin: SourceSurface, field: NumpyField, options: BakeOptions, clock: "_Clock"
-) -> tuple[list[Layer], Extraction]:
+) -> tuple[list[SurfaceLayer], Extraction]:
     """The layers of a run and their zero sets as one mesh.
 
     Raises:
         AssetError: a part of the run's surface has none of it near.
     """
     layers = layers_of(field, run.subject, origin)
-    extraction = extract_layers(
-        layers,
-        origin,
-        origin.part != PARTS.index("body"),
-        coarse_step=options.body_step,
-        fine_step=options.fine_step,
-        details=field.details,
-    )
+    steps = GridSteps(options.body_step, options.fine_step)
+    extraction = extract_layers(layers, origin, origin.part != PARTS.index("body"), steps, field.details)
     check_complete(extraction.mesh, origin.vertices, origin.part)
     clock(
         f"surface: {len(extraction.mesh.faces)} triangles on the zero set (1 in 1000 farther than "
@@ -219,11 +218,7 @@ def avatar_light(light: CaptureLight | None, provenance: Facts) -> CaptureLight 
 def chosen_view(avatar: Avatar, distilled: Distilled, true: TrueViews | None) -> tuple[Mode, Facts]:
     """The default view mode, and what the file says about it: by the truth where it is known, else the field."""
     if true is None:
-        return distilled.default_view, {
-            "mode": distilled.default_view,
-            "by": "field",
-            "reason": distilled.reason,
-        }
+        return distilled.default_view, {"mode": distilled.default_view, "by": "field", "reason": distilled.reason}
     mode, facts = measured_default(avatar, true)
     return mode, {"mode": mode, **facts, "richest": distilled.reason}
 
@@ -284,7 +279,7 @@ class BakedLevels(NamedTuple):
 
 def bake_levels(
     extraction: Extraction,
-    layers: list[Layer],
+    layers: list[SurfaceLayer],
     origin: SourceSurface,
     field: NumpyField,
     joints: Float[np.ndarray, "52 3"],
@@ -365,7 +360,7 @@ def compared_with_field(avatar: Avatar, drawn: measure.FieldSurface, options: Ba
     }
 
 
-def score_json(score: measure.Score) -> Facts:
+def score_json(score: measure.BakeScore) -> Facts:
     """A score as the file holds it: dB of paper mode against the paper field, of each mode against the cone field."""
     groups = {
         group: {

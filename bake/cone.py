@@ -6,10 +6,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Integer
 
-from geometry.harmonic import anchored, fill_harmonic
+from avatar.baked_avatar import Level
+from avatar.rotation import unit_or_zero
+from geometry.harmonic import fill_reached
+from geometry.mesh import blended
+
+Array = np.ndarray
 
 # a field's sRGB in [0, 1] at points, seen along unit directions from the camera to the point
-ColorFunction = Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
+ColorFunction = Callable[[Float[Array, "n 3"], Float[Array, "n 3"]], Float[Array, "n 3"]]
 
 # standard deviations of the seen directions at which the clamp has bent them by 1/sqrt(2)
 REACH = 1.6
@@ -24,28 +29,37 @@ OPPOSED = 0.05
 class ViewCone(NamedTuple):
     """What the training saw of each point, in the canonical frame."""
 
-    direction: Float[np.ndarray, "n 3"]  # unit, from camera to surface, canonical
+    direction: Float[Array, "n 3"]  # unit, from camera to surface, canonical
     # Q: xx, xy, xz, yy, yz, zz; zero across the direction
-    metric: Float[np.ndarray, "n 6"]
-    seen: Float[np.ndarray, "n"]  # [0, 1]
+    metric: Float[Array, "n 6"]
+    seen: Float[Array, "n"]  # [0, 1]
+
+    def of(self, points: Array) -> "ViewCone":
+        """Those of some points, by index or mask."""
+        return ViewCone(*(value[points] for value in self))
 
 
-def matrix_from_six(six: Float[np.ndarray, "*n 6"]) -> Float[np.ndarray, "*n 3 3"]:
+def cone_of(level: Level) -> ViewCone:
+    """The cones of a level's vertices, in double precision."""
+    return ViewCone(*(values.astype(np.float64) for values in (level.view_dir, level.view_q, level.view_seen)))
+
+
+def matrix_from_six(six: Float[Array, "*n 6"]) -> Float[Array, "*n 3 3"]:
     """Symmetric matrices of their six numbers xx, xy, xz, yy, yz, zz."""
     return six[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*six.shape[:-1], 3, 3)
 
 
-def six_from_matrix(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 6"]:
+def six_from_matrix(matrix: Float[Array, "*n 3 3"]) -> Float[Array, "*n 6"]:
     """The upper triangle of symmetric matrices, row by row."""
     return matrix.reshape(*matrix.shape[:-2], 9)[..., [0, 1, 2, 4, 5, 8]]
 
 
 def view_cone(
-    count: Float[np.ndarray, "n"],
-    mean: Float[np.ndarray, "n 3"],
-    covariance: Float[np.ndarray, "n 6"],
-    normals: Float[np.ndarray, "n 3"],
-    faces: Integer[np.ndarray, "faces 3"],
+    count: Float[Array, "n"],
+    mean: Float[Array, "n 3"],
+    covariance: Float[Array, "n 6"],
+    normals: Float[Array, "n 3"],
+    faces: Integer[Array, "faces 3"],
 ) -> ViewCone:
     """Cone of each vertex of the surface that the statistics were gathered on.
 
@@ -76,17 +90,15 @@ def view_cone(
     return ViewCone(direction, six_from_matrix(metric), seen)
 
 
-def _filled(direction: np.ndarray, known: np.ndarray, fallback: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _filled(direction: Array, known: Array, fallback: Array, faces: Array) -> Array:
     """Harmonic fill; vertices out of reach of any known one, or where the fill cancels, take the fallback."""
-    reached = anchored(known, faces)
-    values = np.where(reached[:, None], direction, fallback)
-    filled = fill_harmonic(values, known | ~reached, faces)
+    filled = fill_reached(direction, known, faces)
     length = np.linalg.norm(filled, axis=1)
     # far from anything seen a harmonic direction is short but sound; below this it has cancelled
     return np.where((length > 1e-3)[:, None], filled, fallback)
 
 
-def tangent_frame(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+def tangent_frame(direction: Float[Array, "n 3"]) -> tuple[Array, Array]:
     """Two unit vectors across each unit direction (Duff et al. 2017): no square root, no pole."""
     x, y, z = direction.T
     sign = np.where(z >= 0, 1.0, -1.0)
@@ -95,20 +107,13 @@ def tangent_frame(direction: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.n
     return np.stack([1 + sign * x * x * a, sign * b, -sign * x], 1), np.stack([b, sign + y * y * a, -y], 1)
 
 
-def interpolated(
-    cone: ViewCone, corners: Integer[np.ndarray, "n 3"], barycentric: Float[np.ndarray, "n 3"]
-) -> ViewCone:
+def interpolated(cone: ViewCone, corners: Integer[Array, "n 3"], barycentric: Float[Array, "n 3"]) -> ViewCone:
     """The cone inside triangles, as the shader sees it: linear, direction renormalised."""
-    weight = barycentric[:, :, None]
-    direction = (weight * cone.direction[corners]).sum(1)
-    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-20)
-    metric = (weight * cone.metric[corners]).sum(1)
-    return ViewCone(direction, metric, (barycentric * cone.seen[corners]).sum(1))
+    direction = unit_or_zero(blended(cone.direction, corners, barycentric))
+    return ViewCone(direction, blended(cone.metric, corners, barycentric), (barycentric * cone.seen[corners]).sum(1))
 
 
-def clamped_tangent(
-    direction: Float[np.ndarray, "n 3"], cone: ViewCone, u_view: float = 1.0
-) -> Float[np.ndarray, "n 3"]:
+def clamped_tangent(direction: Float[Array, "n 3"], cone: ViewCone, u_view: float = 1.0) -> Float[Array, "n 3"]:
     """t' = u v t / sqrt(1 + t^T Q t), t = d - (d . d_bar) d_bar: directions pulled into the cone that was seen."""
     axis = cone.direction
     tangent = direction - (direction * axis).sum(1, keepdims=True) * axis
@@ -116,8 +121,7 @@ def clamped_tangent(
     return u_view * (cone.seen / np.sqrt(1 + np.maximum(stretch, 0)))[:, None] * tangent
 
 
-def cone_direction(tangent: Float[np.ndarray, "n 3"], cone: ViewCone) -> Float[np.ndarray, "n 3"]:
+def cone_direction(tangent: Float[Array, "n 3"], cone: ViewCone) -> Float[Array, "n 3"]:
     """The direction the teacher is asked at: d' = t' + d_bar sqrt(1 - |t'|^2), unit."""
     square = np.minimum((tangent**2).sum(1, keepdims=True), 1.0)
-    direction = tangent + cone.direction * np.sqrt(1 - square)
-    return direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-20)
+    return unit_or_zero(tangent + cone.direction * np.sqrt(1 - square))

@@ -12,17 +12,19 @@ from jaxtyping import Float
 from geometry.isosurface import Detail
 from train.fused import CanonicalField
 
+Array = np.ndarray
+
 
 class NumpyField(NamedTuple):
     """The field behind NumPy functions, asked in pieces so that memory stays bounded."""
 
-    distance: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n"]]
-    normal: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
-    color: Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
+    distance: Callable[[Float[Array, "n 3"]], Float[Array, "n"]]
+    normal: Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
+    color: Callable[[Float[Array, "n 3"], Float[Array, "n 3"]], Float[Array, "n 3"]]
     # mean S and H in that colour, of points with their normals; None: the field's light is no factor of its own
-    seen_light: Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 2"]] | None = None
+    seen_light: Callable[[Float[Array, "n 3"], Float[Array, "n 3"]], Float[Array, "n 2"]] | None = None
     # the normals that it fell on; None as well
-    light_normal: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]] | None = None
+    light_normal: Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]] | None = None
     # where its surface is finer than the grids it is taken from: the eyes
     details: tuple[Detail, ...] = ()
 
@@ -30,8 +32,10 @@ class NumpyField(NamedTuple):
 def numpy_field(field: CanonicalField, *, piece: int = 1 << 15) -> NumpyField:
     """The field behind functions that take and give float64, `piece` points at a time."""
 
-    def ask(function: Callable[..., torch.Tensor], *arrays: np.ndarray) -> np.ndarray:
-        def answer(start: int) -> np.ndarray:
+    def ask(function: Callable[..., torch.Tensor], *arrays: Array) -> Array:
+        """What a function of the field gives, asked on all cores."""
+
+        def answer(start: int) -> Array:
             tensors = [torch.from_numpy(np.ascontiguousarray(a[start : start + piece], np.float32)) for a in arrays]
             return function(*tensors).detach().cpu().numpy().astype(np.float64)
 

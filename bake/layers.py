@@ -16,11 +16,13 @@ from capture.folder import CaptureSubject
 from capture.template.layers import BODY, HAIR, LEAST_HAIR, hair_layers
 from capture.template.solid import solid_inside, template_behind_cloth
 from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged
-from geometry.isosurface import Detail, Extraction, PointFunction, extract
+from geometry.isosurface import Detail, Extraction, GridSteps, Hints, PointFunction, extract
 from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas, vertex_normals
 
+Array = np.ndarray
 
-class Layer(NamedTuple):
+
+class SurfaceLayer(NamedTuple):
     """One layer of a person as functions of canonical points."""
 
     # made solid deep inside (capture/template/solid.py): for extraction
@@ -29,22 +31,20 @@ class Layer(NamedTuple):
     normal: PointFunction
 
 
-def layers_of(field: NumpyField, subject: CaptureSubject, origin: SourceSurface) -> list[Layer]:
+def layers_of(field: NumpyField, subject: CaptureSubject, origin: SourceSurface) -> list[SurfaceLayer]:
     """The layers of a run's surface, the body first."""
     whole = solid_inside(field.distance, subject)
     distance = template_behind_cloth(field.distance, subject)
     divided = hair_layers(subject, whole) if origin.layer.any() else None
     if divided is None:
-        return [Layer(whole, distance, field.normal)]
-    return [
-        Layer(divided.distance(k, whole), divided.distance(k, distance), divided.normal(k, distance, field.normal))
-        for k in (BODY, HAIR)
-    ]
+        return [SurfaceLayer(whole, distance, field.normal)]
+    normal = lambda k: divided.normal(k, distance, field.normal)
+    return [SurfaceLayer(divided.distance(k, whole), divided.distance(k, distance), normal(k)) for k in (BODY, HAIR)]
 
 
 def extract_layers(
-    layers: list[Layer], origin: SourceSurface, fine: Bool[np.ndarray, "vertices"], *, coarse_step: float,
-    fine_step: float, details: Sequence[Detail] = (),
+    layers: list[SurfaceLayer], origin: SourceSurface, fine: Bool[Array, "vertices"], steps: GridSteps,
+    details: Sequence[Detail] = (),
 ) -> Extraction:  # fmt: skip
     """The zero sets of all layers as one mesh; vertices know their layer. Details are the body's."""
     found = []
@@ -53,9 +53,8 @@ def extract_layers(
         own = origin.layer == k
         found.append(
             extract(
-                layer.solid, layer.normal, origin.vertices[own], fine[own], coarse_step=coarse_step,
-                fine_step=fine_step, least=LEAST_HAIR if k == HAIR else None, details=details if k == BODY else (),
-                facing=facing[own],
+                layer.solid, layer.normal, Hints(origin.vertices[own], fine[own], facing[own]), steps,
+                least=LEAST_HAIR if k == HAIR else None, details=details if k == BODY else (),
             )
         )  # fmt: skip
     if len(found) == 1:
@@ -73,7 +72,7 @@ def extract_layers(
 
 
 def collapsed(
-    mesh: TriangleMesh, layer: Integer[np.ndarray, "vertices"], layers: list[Layer], count: int,
+    mesh: TriangleMesh, layer: Integer[Array, "vertices"], layers: list[SurfaceLayer], count: int,
     parts: Sequence[Enlargement | Magnifier], report: Callable[[str], None],
 ) -> LayeredMesh:  # fmt: skip
     """Each connected piece of a mesh collapsed to its share of `count` triangles and balanced on its own layer's
@@ -91,7 +90,7 @@ def collapsed(
     return LayeredMesh(concatenated(meshes), np.concatenate(normals), np.concatenate(labels), nearest)
 
 
-def pieces_of(mesh: TriangleMesh, layer: Integer[np.ndarray, "vertices"]) -> list[tuple[TriangleMesh, int]]:
+def pieces_of(mesh: TriangleMesh, layer: Integer[Array, "vertices"]) -> list[tuple[TriangleMesh, int]]:
     """The connected pieces of a mesh, each with its layer."""
     if not layer.any():
         return [(mesh, BODY)]
@@ -104,7 +103,7 @@ def pieces_of(mesh: TriangleMesh, layer: Integer[np.ndarray, "vertices"]) -> lis
 
 
 def layered_data(
-    origin: SourceSurface, mesh: TriangleMesh, normals: Float[np.ndarray, "n 3"], layer: Integer[np.ndarray, "n"]
+    origin: SourceSurface, mesh: TriangleMesh, normals: Float[Array, "n 3"], layer: Integer[Array, "n"]
 ) -> TransferredData:
     """What the run's surface says of the vertices of another mesh, each layer's from the same layer."""
     if not layer.any():
@@ -124,15 +123,12 @@ def layered_data(
     return TransferredData(weights, cone, part, filled)
 
 
-def _part_of(mesh: TriangleMesh, own: Bool[np.ndarray, "vertices"]) -> TriangleMesh:
+def _part_of(mesh: TriangleMesh, own: Bool[Array, "vertices"]) -> TriangleMesh:
     index = np.cumsum(own) - 1
     return TriangleMesh(mesh.vertices[own], index[mesh.faces[own[mesh.faces[:, 0]]]])
 
 
-def _only(origin: SourceSurface, own: Bool[np.ndarray, "vertices"]) -> SourceSurface:
-    index = np.cumsum(own) - 1
-    faces = index[origin.faces[own[origin.faces[:, 0]]]]
-    return SourceSurface(
-        origin.vertices[own], faces, origin.part[own], ViewCone(*(value[own] for value in origin.cone)),
-        origin.weights[own], origin.layer[own],
-    )  # fmt: skip
+def _only(origin: SourceSurface, own: Bool[Array, "vertices"]) -> SourceSurface:
+    vertices, faces = _part_of(TriangleMesh(origin.vertices, origin.faces), own)
+    cone, weights = origin.cone.of(own), origin.weights[own]
+    return SourceSurface(vertices, faces, origin.part[own], cone, weights, origin.layer[own])

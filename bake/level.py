@@ -8,24 +8,27 @@ import numpy as np
 from jaxtyping import Float, Float32, Integer, UInt8
 
 from avatar.gltf.avatar_file import Level
+from avatar.rotation import unit_or_zero
 from avatar.skeleton import BIG_POSE, PARTS, joint_transforms
-from avatar.texture import mip_levels, mipmaps, sample_texture
+from avatar.texture import bytes_of, mip_levels, mipmaps, sample_texture
 from bake import measure
 from bake.atlas import Unwrapped, unwrap
-from bake.cone import ViewCone, interpolated
+from bake.cone import ViewCone, cone_of, interpolated
 from bake.field import NumpyField
 from bake.network import Distilled, SurfacePoints
 from bake.options import BakeOptions
 from bake.promises import Facts
 from bake.skin import quantised, transferred_weights
 from bake.texture.seams import ChartEdges, chart_edges, seam_steps, seen_steps, solve_seams
-from bake.texture.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
+from bake.texture.texels import TexelMap, atlas_areas, barycentric, rasterise_charts, sample_texels, spread
 from geometry.closest import match_surface
 from geometry.decimate import Enlargement, Magnifier, magnified
 from geometry.isosurface import Detail, PointFunction, project_to_zero
-from geometry.mesh import TriangleMesh, face_areas
+from geometry.mesh import TriangleMesh, blended, face_areas
 from geometry.repair import find_faults
 from geometry.sample import stratified_samples
+
+Array = np.ndarray
 
 # texels whose points are in memory at once
 PIECE = 1 << 18
@@ -34,10 +37,10 @@ PIECE = 1 << 18
 class Charted(NamedTuple):
     """What the texels of a level show: its surface by atlas vertex, float64."""
 
-    uv: Float[np.ndarray, "corners 2"]
-    faces: Integer[np.ndarray, "faces 3"]
-    points: Float[np.ndarray, "corners 3"]  # canonical, metres
-    normals: Float[np.ndarray, "corners 3"]  # unit, the field's
+    uv: Float[Array, "corners 2"]
+    faces: Integer[Array, "faces 3"]
+    points: Float[Array, "corners 3"]  # canonical, metres
+    normals: Float[Array, "corners 3"]  # unit, the field's
     cone: ViewCone
 
 
@@ -53,20 +56,20 @@ class BakedLevel(NamedTuple):
 class SourceSurface(NamedTuple):
     """The run's own surface, which carries what training found per vertex."""
 
-    vertices: Float[np.ndarray, "vertices 3"]
-    faces: Integer[np.ndarray, "faces 3"]
-    part: Integer[np.ndarray, "vertices"]
+    vertices: Float[Array, "vertices 3"]
+    faces: Integer[Array, "faces 3"]
+    part: Integer[Array, "vertices"]
     cone: ViewCone
-    weights: Float[np.ndarray, "vertices joints"]
-    layer: Integer[np.ndarray, "vertices"]  # capture/template/layers.py
+    weights: Float[Array, "vertices joints"]
+    layer: Integer[Array, "vertices"]  # capture/template/layers.py
 
 
 class LayeredMesh(NamedTuple):
     """A collapsed mesh of all layers of a person (bake/layers.py)."""
 
     mesh: TriangleMesh
-    normals: Float[np.ndarray, "vertices 3"]  # unit, of each vertex's layer
-    layer: Integer[np.ndarray, "vertices"]
+    normals: Float[Array, "vertices 3"]  # unit, of each vertex's layer
+    layer: Integer[Array, "vertices"]
     # metres, canonical points to the nearest layer's surface
     away: PointFunction
 
@@ -74,14 +77,14 @@ class LayeredMesh(NamedTuple):
 class TransferredData(NamedTuple):
     """What the run's surface says of the vertices of another mesh."""
 
-    weights: Float[np.ndarray, "n joints"]
+    weights: Float[Array, "n joints"]
     cone: ViewCone
-    part: Integer[np.ndarray, "n"]
+    part: Integer[Array, "n"]
     # rows of weights that found no source nearby facing the same way
     filled: int
 
 
-def transferred_data(origin: SourceSurface, mesh: TriangleMesh, normals: Float[np.ndarray, "n 3"]) -> TransferredData:
+def transferred_data(origin: SourceSurface, mesh: TriangleMesh, normals: Float[Array, "n 3"]) -> TransferredData:
     """Skin weights, cone and part of another mesh of the same surface; `normals` are its vertices', unit."""
     match = match_surface(mesh.vertices, normals, origin.vertices, origin.faces)
     corners = origin.faces[match.face]
@@ -99,7 +102,7 @@ def magnifiers(details: Sequence[Detail], options: BakeOptions) -> list[Magnifie
 
 
 def enlargements(
-    joints: Float[np.ndarray, "52 3"], options: BakeOptions, details: Sequence[Detail] = ()
+    joints: Float[Array, "52 3"], options: BakeOptions, details: Sequence[Detail] = ()
 ) -> list[Enlargement | Magnifier]:
     """Head, hands and eyes of the canonical pose, to keep more triangles than their size asks for."""
     canonical = joint_transforms(np.asarray(BIG_POSE, np.float64), joints, np.zeros(3))[:, :3, 3]
@@ -127,7 +130,7 @@ def bake_level(
     # larger charts for the eyes, without a seam round them
     grown = magnified(mesh.vertices, magnifiers(field.details, options))
     chart = unwrap(grown, mesh.faces, face_part, density, size=size, padding=padding)
-    cone = ViewCone(*(value[chart.source] for value in data.cone))
+    cone = data.cone.of(chart.source)
     joints, weights = quantised(data.weights[chart.source])
     charted = Charted(chart.uv, chart.faces, mesh.vertices[chart.source], normals[chart.source], cone)
 
@@ -154,8 +157,7 @@ def bake_level(
 def level_of_file(level: Level) -> BakedLevel:
     """A level of an avatar file as the bake had it, but for its facts."""
     uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
-    cone = ViewCone(*(values.astype(np.float64) for values in (level.view_dir, level.view_q, level.view_seen)))
-    charted = Charted(uv, faces, level.positions.astype(np.float64), level.normals.astype(np.float64), cone)
+    charted = Charted(uv, faces, level.positions.astype(np.float64), level.normals.astype(np.float64), cone_of(level))
     _, source = np.unique(level.positions, axis=0, return_inverse=True)
     return BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
 
@@ -164,11 +166,11 @@ class FieldTexels(NamedTuple):
     """Texels of a level's atlas, of any size, on the field's zero set."""
 
     texels: TexelMap
-    lift: Float[np.ndarray, "texels"]  # metres along the normal from the triangles to the zero set
+    lift: Float[Array, "texels"]  # metres along the normal from the triangles to the zero set
 
     def points(
-        self, charted: Charted, rows: Integer[np.ndarray, "rows"], jitter: Float[np.ndarray, "2"]
-    ) -> tuple[Float[np.ndarray, "rows 3"], Float[np.ndarray, "rows 3"], ViewCone]:
+        self, charted: Charted, rows: Integer[Array, "rows"], jitter: Float[Array, "2"]
+    ) -> tuple[Float[Array, "rows 3"], Float[Array, "rows 3"], ViewCone]:
         """Points on the zero set under some texels, moved by `jitter` texels, with unit normals and cones."""
         points, facing, local = surface_at(charted, self.texels.rows(rows), jitter)
         return points + self.lift[rows, None] * facing, facing, local
@@ -194,11 +196,11 @@ def field_texels(field: NumpyField, charted: Charted, size: int) -> FieldTexels:
 
 def field_picture(
     field: NumpyField, charted: Charted, placed: FieldTexels, samples: int
-) -> Float[np.ndarray, "size size 3"]:
+) -> Float[Array, "size size 3"]:
     """The atlas as the field colors it, its chart edges not closed yet: its zero set at the global view direction
     (Eq. 14), [0, 1] sRGB."""
 
-    def color_at(rows: np.ndarray, jitter: np.ndarray) -> np.ndarray:
+    def color_at(rows: Array, jitter: Array) -> Array:
         result = np.empty((len(rows), 3))
         for start in range(0, len(rows), PIECE):
             points, _, local = placed.points(charted, rows[start : start + PIECE], jitter)
@@ -208,26 +210,26 @@ def field_picture(
     return spread(sample_texels(color_at, placed.texels, samples=samples), placed.texels)
 
 
-def with_picture(baked: BakedLevel, picture: Float[np.ndarray, "size size 3"], texels: TexelMap) -> BakedLevel:
+def with_picture(baked: BakedLevel, picture: Float[Array, "size size 3"], texels: TexelMap) -> BakedLevel:
     """The level with a picture as its base color, its chart edges closed in every mip that the player draws."""
     image = solve_seams(picture, texels, baked.charted.uv, baked.edges, mip_levels(picture.shape))
-    level = replace(baked.level, base_color=bytes_from_unit(image))
-    steps = seam_facts(level, baked.edges, bytes_from_unit(picture))
+    level = replace(baked.level, base_color=bytes_of(image))
+    steps = seam_facts(level, baked.edges, bytes_of(picture))
     return baked._replace(level=level, facts={**baked.facts, "seam_step": steps})
 
 
-def with_prior(baked: BakedLevel, picture: Float[np.ndarray, "size size 3"], texels: TexelMap) -> BakedLevel:
+def with_prior(baked: BakedLevel, picture: Float[Array, "size size 3"], texels: TexelMap) -> BakedLevel:
     """The level with a picture as its base color that the videos are going to replace: chart edges stay as they are."""
-    return baked._replace(level=replace(baked.level, base_color=bytes_from_unit(picture)))
+    return baked._replace(level=replace(baked.level, base_color=bytes_of(picture)))
 
 
 class PlacesOnFinest(NamedTuple):
     """Where the texels of a coarser level lie in the atlas of the finest."""
 
     texels: TexelMap
-    uv: Float[np.ndarray, "texels 2"]
+    uv: Float[Array, "texels 2"]
 
-    def read(self, image: Float[np.ndarray, "size size channels"]) -> Float[np.ndarray, "own own channels"]:
+    def read(self, image: Float[Array, "size size channels"]) -> Float[Array, "own own channels"]:
         """An image of the finest level as the coarser one shows it, averaged over what one of its texels covers."""
         while len(image) >= 2 * self.texels.size:
             image = halved(image)
@@ -239,35 +241,32 @@ def places_on_finest(baked: BakedLevel, finest: BakedLevel) -> PlacesOnFinest:
     texels = rasterise_charts(baked.charted.uv, baked.charted.faces, len(baked.level.base_color))
     points, facing, _ = surface_at(baked.charted, texels, np.zeros(2))
     match = match_surface(points, facing, finest.charted.points, finest.charted.faces)
-    uv = finest.charted.uv[finest.charted.faces[match.face]]
-    return PlacesOnFinest(texels, (match.barycentric[:, :, None] * uv).sum(1))
+    return PlacesOnFinest(texels, blended(finest.charted.uv, finest.charted.faces[match.face], match.barycentric))
 
 
-def halved(image: Float[np.ndarray, "size size channels"]) -> Float[np.ndarray, "half half channels"]:
+def halved(image: Float[Array, "size size channels"]) -> Float[Array, "half half channels"]:
     """Means of two by two texels."""
     return 0.25 * (image[::2, ::2] + image[1::2, ::2] + image[::2, 1::2] + image[1::2, 1::2])
 
 
 def surface_at(
-    charted: Charted, texels: TexelMap, jitter: Float[np.ndarray, "2"]
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], ViewCone]:
+    charted: Charted, texels: TexelMap, jitter: Float[Array, "2"]
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"], ViewCone]:
     """Point, unit normal and cone under each texel's centre moved by `jitter` texels.
 
     On a chart's skirt the point is extrapolated in the triangle's plane; normal and cone stay the border's.
     """
     weight = barycentric(charted.uv, charted.faces, texels, jitter)
     corners = charted.faces[texels.face]
-    points = (weight[:, :, None] * charted.points[corners]).sum(1)
     near = np.clip(weight, 0, 1)
     near /= near.sum(1, keepdims=True)
-    facing = (near[:, :, None] * charted.normals[corners]).sum(1)
-    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-20)
-    return points, facing, interpolated(charted.cone, corners, near)
+    facing = unit_or_zero(blended(charted.normals, corners, near))
+    return blended(charted.points, corners, weight), facing, interpolated(charted.cone, corners, near)
 
 
 def light_at(
     field: NumpyField, charted: Charted
-) -> tuple[Float[np.ndarray, "corners 3"], Float32[np.ndarray, "corners 2"] | None]:
+) -> tuple[Float[Array, "corners 3"], Float32[Array, "corners 2"] | None]:
     """Normals of the vertices that light falls on, and mean S and H that the base color shows there.
 
     Where light is no factor of its own they are the surface's, and no S and H. They also are where a surface was cut
@@ -282,21 +281,14 @@ def light_at(
 
 
 def lifted(
-    field: NumpyField, points: Float[np.ndarray, "n 3"], facing: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
+    field: NumpyField, points: Float[Array, "n 3"], facing: Float[Array, "n 3"]
+) -> tuple[Float[Array, "n 3"], Float[Array, "n"]]:
     """Points of the mesh moved along its normals onto the zero set, at most 4 mm, and how far."""
-    moved, _ = project_to_zero(
-        field.distance, field.normal, points, reach=0.004, steps=1, tolerance=1e-4, directions=facing
-    )
+    moved, _ = project_to_zero(field.distance, points, facing, reach=0.004, steps=1, tolerance=1e-4)
     return moved, ((moved - points) * facing).sum(1)
 
 
-def level_facts(
-    level: Level,
-    surface: LayeredMesh,
-    face_part: Integer[np.ndarray, "faces"],
-    chart: Unwrapped,
-) -> Facts:
+def level_facts(level: Level, surface: LayeredMesh, face_part: Integer[Array, "faces"], chart: Unwrapped) -> Facts:
     """What the file's provenance says of a level; `surface` is its mesh before the atlas split vertices."""
     size, mesh = len(level.base_color), surface.mesh
     away = measure.field_to_mesh(surface.away, mesh)
@@ -315,16 +307,15 @@ def level_facts(
 
 def size_facts(
     mesh: TriangleMesh,
-    part: Integer[np.ndarray, "faces"],
-    corners: Float[np.ndarray, "faces 3 2"],
-    corner_part: Integer[np.ndarray, "faces"],
+    part: Integer[Array, "faces"],
+    corners: Float[Array, "faces 3 2"],
+    corner_part: Integer[Array, "faces"],
 ) -> Facts:
     """Triangles by part, and the sides of squares as large as a part's mean triangle and as one of its texels, mm.
 
     `corners` are the triangles in the atlas, in texels, in an order of their own, which `corner_part` follows.
     """
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    covered = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    covered = atlas_areas(corners)
     areas = face_areas(mesh.vertices, mesh.faces)
     triangle, texel = {}, {}
     for number in np.unique(part):
@@ -340,7 +331,7 @@ def size_facts(
     }
 
 
-def seam_facts(level: Level, edges: ChartEdges, picture: UInt8[np.ndarray, "size size 3"]) -> Facts:
+def seam_facts(level: Level, edges: ChartEdges, picture: UInt8[Array, "size size 3"]) -> Facts:
     """Color steps across chart edges (of 255) in every mip that the player draws, and what is seen of them beyond what
     the `picture` that the edges were closed in steps at the same places; the worst mip's first."""
     uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
@@ -361,19 +352,15 @@ def surface_points(field: NumpyField, level: Level, origin: SourceSurface, optio
     importance = np.where(part[mesh.faces[:, 0]] != PARTS.index("body"), 4.0, 1.0)
     face, weight = stratified_samples(*mesh, options.samples, seed=options.seed + 1, weight=importance)
     corners = mesh.faces[face]
-    normals = (weight[:, :, None] * level.normals[corners]).sum(1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    points = (weight[:, :, None] * mesh.vertices[corners]).sum(1)
-    points, _ = project_to_zero(field.distance, field.normal, points, reach=0.004, steps=2, directions=normals)
-    cone = ViewCone(
-        level.view_dir.astype(np.float64), level.view_q.astype(np.float64), level.view_seen.astype(np.float64)
-    )
-    local = interpolated(cone, corners, weight)
+    normals = unit_or_zero(blended(level.normals, corners, weight))
+    points = blended(mesh.vertices, corners, weight)
+    points, _ = project_to_zero(field.distance, points, normals, reach=0.004, steps=2)
+    local = interpolated(cone_of(level), corners, weight)
     return SurfacePoints(points, normals, field.color(points, local.direction), local)
 
 
 def with_features(
-    baked: BakedLevel, picture: Float[np.ndarray, "size size 3"], distilled: Distilled, field: NumpyField
+    baked: BakedLevel, picture: Float[Array, "size size 3"], distilled: Distilled, field: NumpyField
 ) -> BakedLevel:
     """The finest level, which the field colors as in `picture`, with its feature texture, half as wide."""
     if distilled.features is None:
@@ -387,7 +374,7 @@ def with_features(
 
 
 def with_features_of(
-    baked: BakedLevel, features: UInt8[np.ndarray, "size size features"] | None, place: PlacesOnFinest
+    baked: BakedLevel, features: UInt8[Array, "size size features"] | None, place: PlacesOnFinest
 ) -> BakedLevel:
     """A coarser level with the `features` of the finest, where that has any."""
     if features is None:
@@ -396,12 +383,10 @@ def with_features_of(
     return with_feature_image(baked, halved(place.read(features / np.float64(255))), texels)
 
 
-def with_feature_image(
-    baked: BakedLevel, image: Float[np.ndarray, "half half features"], texels: TexelMap
-) -> BakedLevel:
+def with_feature_image(baked: BakedLevel, image: Float[Array, "half half features"], texels: TexelMap) -> BakedLevel:
     """The level with an image of features as its feature texture, its chart edges closed."""
     image = solve_seams(image, texels, baked.charted.uv, baked.edges, mip_levels(image.shape))
-    return baked._replace(level=replace(baked.level, features=bytes_from_unit(image)))
+    return baked._replace(level=replace(baked.level, features=bytes_of(image)))
 
 
 def rounded(value: float) -> float | None:

@@ -14,6 +14,8 @@ from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
 from geometry.mesh import component_labels, face_areas
 
+Array = np.ndarray
+
 # metres off the template's vertices, which are a centimetre or two apart
 NEAR, FAR = 0.03, 0.09
 # square metres: a smaller piece is a buckle or a fold
@@ -23,11 +25,8 @@ STIFF &= np.array([not name.startswith("spine") for name in JOINTS])
 
 
 def looseness(
-    positions: Float[np.ndarray, "vertices 3"],
-    faces: Integer[np.ndarray, "faces 3"],
-    skin: SkinWeights,
-    subject: CaptureSubject,
-) -> Float32[np.ndarray, "vertices"] | None:
+    positions: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"], skin: SkinWeights, subject: CaptureSubject
+) -> Float32[Array, "vertices"] | None:
     """0 to 1 of each vertex of a surface in the canonical pose; None: nothing of it is loose."""
     away = KDTree(bare_template(subject)).query(positions)[0]
     share = np.clip((away - NEAR) / (FAR - NEAR), 0, 1)
@@ -37,7 +36,7 @@ def looseness(
     return loose.astype(np.float32) if loose.any() else None
 
 
-def bare_template(subject: CaptureSubject) -> Float[np.ndarray, "vertices 3"]:
+def bare_template(subject: CaptureSubject) -> Float[Array, "vertices 3"]:
     """Vertices of the template without carved hair and clothes, which were joined behind the body's own: the body is
     the piece that the most joints move."""
     piece = component_labels(subject.faces, len(subject.vertices))
@@ -47,10 +46,8 @@ def bare_template(subject: CaptureSubject) -> Float[np.ndarray, "vertices 3"]:
 
 
 def in_large_pieces(
-    chosen: Bool[np.ndarray, "vertices"],
-    positions: Float[np.ndarray, "vertices 3"],
-    faces: Integer[np.ndarray, "faces 3"],
-) -> Bool[np.ndarray, "vertices"]:
+    chosen: Bool[Array, "vertices"], positions: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"]
+) -> Bool[Array, "vertices"]:
     """Which of the chosen vertices lie in connected pieces of LEAST or more; an atlas's cuts do not divide them."""
     _, place = np.unique(np.asarray(positions, np.float32), axis=0, return_inverse=True)
     place = place.reshape(-1)

@@ -5,18 +5,20 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import binary_erosion
 
 from avatar.camera import Camera, orbit_camera, pixel_rays
 from avatar.gltf.avatar_file import Avatar
 from avatar.psnr import PooledError, error_between, pooled
+from avatar.rotation import unit_or_zero
 from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
 from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, interpolated
-from bake.truth import modes_of
+from bake.truth import modes_of, scored_mask
 from geometry.isosurface import PointFunction, project_to_zero
-from geometry.mesh import TriangleMesh
+from geometry.mesh import TriangleMesh, blended
 from geometry.sample import stratified_samples
+
+Array = np.ndarray
 
 HEAD = 15
 LEFT_MIDDLE, RIGHT_MIDDLE = 25, 40
@@ -26,8 +28,8 @@ class ScoredView(NamedTuple):
     """A pose and a camera to compare pictures from."""
 
     name: str
-    axis_angle: Float[np.ndarray, "52 3"]
-    root: Float[np.ndarray, "3"]
+    axis_angle: Float[Array, "52 3"]
+    root: Float[Array, "3"]
     camera: Camera
     # or novel_pose: scores are kept apart by it
     group: str = "novel_view"
@@ -37,15 +39,15 @@ class FieldSurface(NamedTuple):
     """The fine mesh of the field with all that is needed to draw the field in any pose."""
 
     mesh: TriangleMesh
-    normals: Float[np.ndarray, "vertices 3"]
+    normals: Float[Array, "vertices 3"]
     skin: SkinWeights
     cone: ViewCone
-    joints: Float[np.ndarray, "52 3"]
+    joints: Float[Array, "52 3"]
     distance: PointFunction
     color: ColorFunction
 
 
-def test_poses() -> dict[str, Float[np.ndarray, "52 3"]]:
+def test_poses() -> dict[str, Float[Array, "52 3"]]:
     """Poses that the bake is scored in: the T-pose, and one that bends what bends, fingers included."""
     rest = np.zeros((52, 3))
     bent = np.zeros((52, 3))
@@ -60,7 +62,7 @@ def test_poses() -> dict[str, Float[np.ndarray, "52 3"]]:
     return {"t": rest, "bent": bent}
 
 
-def test_views(joints: Float[np.ndarray, "52 3"], size: int = 512) -> list[ScoredView]:
+def test_views(joints: Float[Array, "52 3"], size: int = 512) -> list[ScoredView]:
     """Whole body from four sides and close-ups of head and hands, in both poses.
 
     Training saw the T-pose, if under other cameras (novel views); the bent one it never saw (novel poses).
@@ -86,16 +88,16 @@ def test_views(joints: Float[np.ndarray, "52 3"], size: int = 512) -> list[Score
 class FieldImage(NamedTuple):
     """The field drawn in a view."""
 
-    paper: Float[np.ndarray, "height width 3"]  # [0, 1], field at d_bar
+    paper: Float[Array, "height width 3"]  # [0, 1], field at d_bar
     # field at d', where asked
-    cone: Float[np.ndarray, "height width 3"] | None
-    mask: Bool[np.ndarray, "height width"]
+    cone: Float[Array, "height width 3"] | None
+    mask: Bool[Array, "height width"]
 
 
 def draw_field(
     surface: FieldSurface,
     view: ScoredView,
-    draw: Callable[[np.ndarray, np.ndarray, Camera], tuple[np.ndarray, np.ndarray]],
+    draw: Callable[[Array, Array, Camera], tuple[Array, Array]],
     *,
     with_cone: bool,
 ) -> FieldImage:
@@ -106,10 +108,9 @@ def draw_field(
     face, barycentric = draw(posed, surface.mesh.faces, view.camera)
     mask = face >= 0
     corners, weight = surface.mesh.faces[face[mask]], np.clip(barycentric[mask].astype(np.float64), 0, 1)
-    points = (weight[:, :, None] * surface.mesh.vertices[corners]).sum(1)
-    normals = (weight[:, :, None] * surface.normals[corners]).sum(1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    points, _ = project_to_zero(surface.distance, _no_normals, points, reach=0.003, steps=2, directions=normals)
+    points = blended(surface.mesh.vertices, corners, weight)
+    normals = unit_or_zero(blended(surface.normals, corners, weight))
+    points, _ = project_to_zero(surface.distance, points, normals, reach=0.003, steps=2)
     cone = interpolated(surface.cone, corners, weight)
     paper = np.zeros((*mask.shape, 3))
     paper[mask] = surface.color(points, cone.direction)
@@ -127,16 +128,7 @@ def draw_field(
     return FieldImage(paper, image, mask)
 
 
-def _no_normals(points: np.ndarray) -> np.ndarray:
-    raise AssertionError("directions are given")
-
-
-def scored_mask(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
-    """The mask eroded by one pixel: silhouettes differ by a fraction of a pixel in any two rasterisers."""
-    return binary_erosion(mask, np.ones((3, 3), bool), border_value=0)
-
-
-class Score(NamedTuple):
+class BakeScore(NamedTuple):
     """PSNR in decibels over the eroded masks; infinite where pictures are the same."""
 
     # baked paper mode against the field at d_bar, pooled over all views
@@ -149,11 +141,7 @@ class Score(NamedTuple):
     pixels: int
 
 
-def compare(
-    avatar: Avatar,
-    surface: FieldSurface,
-    views: list[ScoredView],
-) -> Score:
+def compare(avatar: Avatar, surface: FieldSurface, views: list[ScoredView]) -> BakeScore:
     """Draw every view of field and file, in all modes that the file holds, and score them."""
     from player.draw.raster import Rasteriser
     from player.gl.context import open_context
@@ -166,7 +154,7 @@ def compare(
     try:
         rasteriser = Rasteriser(context)
 
-        def draw(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+        def draw(vertices: Array, faces: Array, camera: Camera) -> tuple[Array, Array]:
             fragments = rasteriser.draw(vertices, faces, camera)
             return fragments.face, fragments.barycentric
 
@@ -192,12 +180,12 @@ def compare(
     together = {m: pooled(one[m] for one in errors.values()) for m in ["paper", *modes]}
     db = {mode: e.psnr() for mode, e in together.items() if e.count}
     paper = db.pop("paper", float("nan"))
-    return Score(paper, db, groups, per_view, together["paper"].count // 3)
+    return BakeScore(paper, db, groups, per_view, together["paper"].count // 3)
 
 
 def field_to_mesh(
     distance: PointFunction, mesh: TriangleMesh, *, count: int = 40_000, seed: int = 0
-) -> Float[np.ndarray, "count"]:
+) -> Float[Array, "count"]:
     """|distance| of points spread evenly over a mesh, metres: how far its triangles cut through the surface."""
     samples = stratified_samples(*mesh, count, seed=seed)
     return np.abs(distance(samples.on(*mesh)))

@@ -18,20 +18,15 @@ import torch
 
 # now, before any GL context: it loads an LLVM that crashes when Mesa's came first
 import torch._dynamo
-from jaxtyping import Bool, Float, Integer, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import nn
 
 from avatar.gltf.avatar_file import ViewNetwork
 from avatar.psnr import decibels
-from bake.cone import (
-    ColorFunction,
-    ViewCone,
-    clamped_tangent,
-    cone_direction,
-    matrix_from_six,
-    tangent_frame,
-)
+from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, matrix_from_six, tangent_frame
 from files.whole import whole_file
+
+Array = np.ndarray
 
 AMPLITUDE = 0.6
 # what a mode must gain over the simpler one to be shipped
@@ -43,9 +38,9 @@ INVISIBLE_DB = 45.0
 class SurfacePoints(NamedTuple):
     """What the feature encoder knows about points of the surface."""
 
-    points: Float[np.ndarray, "n 3"]  # canonical, metres
-    normals: Float[np.ndarray, "n 3"]
-    base: Float[np.ndarray, "n 3"]  # paper color, [0, 1]
+    points: Float[Array, "n 3"]  # canonical, metres
+    normals: Float[Array, "n 3"]
+    base: Float[Array, "n 3"]  # paper color, [0, 1]
     cone: ViewCone
 
 
@@ -53,15 +48,15 @@ class Distilled(NamedTuple):
     """How the file shows view dependence; parts that the default view does not need are None."""
 
     network: ViewNetwork | None
-    linear: Float[np.ndarray, "features 3 3"] | None
+    linear: Float[Array, "features 3 3"] | None
     default_view: Literal["network", "linear", "off"]
-    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n features"]] | None
+    features: Callable[[SurfacePoints], UInt8[Array, "n features"]] | None
     # each mode against the cone field, on samples kept out of training
     decibels: dict[str, float]
     # why this is the default
     reason: str = ""
 
-    def residual(self, features: UInt8[np.ndarray, "n features"], tangent: Float[np.ndarray, "n 3"]) -> np.ndarray:
+    def residual(self, features: UInt8[Array, "n features"], tangent: Float[Array, "n 3"]) -> Array:
         """What the default view adds to the base color of points with these features, at t' (n, 3); sRGB."""
         unit = features / 255.0
         if self.network is not None:
@@ -96,7 +91,7 @@ class FeatureEncoder(nn.Module):
         return value + (torch.round(value * 255) / 255 - value).detach()
 
 
-def sampled_directions(cone: ViewCone, rng: np.random.Generator, *, seen_share: float = 0.7) -> np.ndarray:
+def sampled_directions(cone: ViewCone, rng: np.random.Generator, *, seen_share: float = 0.7) -> Array:
     """Unit directions: most distributed as training saw them, the rest over the whole sphere."""
     n = len(cone.direction)
     first, second = tangent_frame(cone.direction)
@@ -114,16 +109,14 @@ def sampled_directions(cone: ViewCone, rng: np.random.Generator, *, seen_share: 
     return np.where(rng.random((n, 1)) < seen_share, observed, anywhere)
 
 
-def network_inputs(
-    features: Float[np.ndarray, "n features"], tangent: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n inputs"]:
+def network_inputs(features: Float[Array, "n features"], tangent: Float[Array, "n 3"]) -> Float[Array, "n inputs"]:
     """x = [features / 255, t', |t'|] from features in [0, 1]."""
     return np.concatenate([features, tangent, np.linalg.norm(tangent, axis=1, keepdims=True)], 1)
 
 
 def network_residual(
-    network: ViewNetwork, features: Float[np.ndarray, "n features"], tangent: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
+    network: ViewNetwork, features: Float[Array, "n features"], tangent: Float[Array, "n 3"]
+) -> Float[Array, "n 3"]:
     """A |t'| y / (1 + |y|) in float64: the reference of the shader."""
     x = network_inputs(features, tangent)
     y = x
@@ -133,16 +126,14 @@ def network_residual(
 
 
 def linear_residual(
-    linear: Float[np.ndarray, "features 3 3"],
-    features: Float[np.ndarray, "n features"],
-    tangent: Float[np.ndarray, "n 3"],
-) -> Float[np.ndarray, "n 3"]:
+    linear: Float[Array, "features 3 3"], features: Float[Array, "n features"], tangent: Float[Array, "n 3"]
+) -> Float[Array, "n 3"]:
     return np.einsum("nf,fij,nj->ni", features, linear, tangent)
 
 
 def fit_linear(
-    features: Float[np.ndarray, "n features"], tangent: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "features 3 3"]:
+    features: Float[Array, "n features"], tangent: Float[Array, "n 3"], residual: Float[Array, "n 3"]
+) -> Float[Array, "features 3 3"]:
     """Least squares of residual = (sum f_i M_i) t', lightly damped: features may be nearly equal."""
     size = 3 * features.shape[1]
     design = (features[:, :, None] * tangent[:, None, :]).reshape(len(features), size)
@@ -172,7 +163,7 @@ def distil(
     if len(usable) < 64:
         return Distilled(None, None, "off", None, {"off": float("inf")}, "no camera saw the surface often enough")
     surface = SurfacePoints(
-        surface.points[usable], surface.normals[usable], surface.base[usable], _rows(surface.cone, usable)
+        surface.points[usable], surface.normals[usable], surface.base[usable], surface.cone.of(usable)
     )
     direction = sampled_directions(surface.cone, rng)
     tangent = clamped_tangent(direction, surface.cone)
@@ -189,7 +180,7 @@ def distil(
     samples = ResidualSamples(surface, tangent, residual, kept)
     encoder, linears = trained(samples, count, rng=rng, seed=seed, steps=steps, batch=batch)
 
-    def features_of(points: SurfacePoints) -> UInt8[np.ndarray, "n features"]:
+    def features_of(points: SurfacePoints) -> UInt8[Array, "n features"]:
         encoded = []
         with torch.no_grad():
             for chunk in torch.from_numpy(_encoder_inputs(points)).split(1 << 16):
@@ -210,9 +201,9 @@ class ResidualSamples(NamedTuple):
     """What the network is trained on: the cone field's residual at points of the surface."""
 
     surface: SurfacePoints
-    tangent: Float[np.ndarray, "n 3"]  # t'
-    residual: Float[np.ndarray, "n 3"]
-    kept: Bool[np.ndarray, "n"]  # kept out of training
+    tangent: Float[Array, "n 3"]  # t'
+    residual: Float[Array, "n 3"]
+    kept: Bool[Array, "n"]  # kept out of training
 
 
 def trained(
@@ -252,8 +243,8 @@ def trained(
 def choose(
     scores: dict[str, float],
     network: ViewNetwork,
-    linear: Float[np.ndarray, "features 3 3"],
-    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n features"]],
+    linear: Float[Array, "features 3 3"],
+    features: Callable[[SurfacePoints], UInt8[Array, "n features"]],
 ) -> Distilled:
     """The simplest mode that is not GAIN_DB worse than a richer one; what is not worth it is not in the file."""
     scores_text = ", ".join(f"{mode} {scores[mode]:.1f} dB" for mode in ("network", "linear", "off"))
@@ -265,11 +256,7 @@ def choose(
     return Distilled(None, None, "off", None, scores, reason)
 
 
-def _rows(cone: ViewCone, index: Integer[np.ndarray, "n"]) -> ViewCone:
-    return ViewCone(cone.direction[index], cone.metric[index], cone.seen[index])
-
-
-def _encoder_inputs(surface: SurfacePoints) -> Float[np.ndarray, "n 12"]:
+def _encoder_inputs(surface: SurfacePoints) -> Float[Array, "n 12"]:
     return np.concatenate([surface.points, surface.normals, surface.base, surface.cone.direction], 1).astype(np.float32)
 
 

@@ -5,15 +5,15 @@ from jaxtyping import Bool, Float, Integer, UInt8
 
 from geometry.closest import Match
 from geometry.harmonic import fill_harmonic
-from geometry.mesh import component_labels, connected, half_edges
+from geometry.mesh import blended, component_labels, connected, half_edges
+
+Array = np.ndarray
 
 # the limb a joint moves: torso and head, each leg, each arm, each finger
 LIMBS = np.array([0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 3, 4, 0, 3, 4, 3, 4, 3, 4, *np.repeat(np.arange(5, 15), 3)])
 
 
-def detached_vertices(
-    weights: Float[np.ndarray, "n joints"], faces: Integer[np.ndarray, "faces 3"]
-) -> Bool[np.ndarray, "n"]:
+def detached_vertices(weights: Float[Array, "n joints"], faces: Integer[Array, "faces 3"]) -> Bool[Array, "n"]:
     """Vertices that follow a limb from which they are cut off: each limb moves one piece of the mesh, its largest,
     and an islet of it on another finger or across an armpit came from the wrong side."""
     limb = np.stack([weights[:, k == LIMBS].sum(1) for k in range(LIMBS.max() + 1)], 1).argmax(1)
@@ -29,12 +29,12 @@ def detached_vertices(
 
 def transferred_weights(
     match: Match,
-    faces: Integer[np.ndarray, "faces 3"],
-    source_faces: Integer[np.ndarray, "source_faces 3"],
-    source: Float[np.ndarray, "vertices joints"],
+    faces: Integer[Array, "faces 3"],
+    source_faces: Integer[Array, "source_faces 3"],
+    source: Float[Array, "vertices joints"],
     *,
     limit: float = 0.03,
-) -> tuple[Float[np.ndarray, "n joints"], int]:
+) -> tuple[Float[Array, "n joints"], int]:
     """Dense weights at the closest source point that faces the same way, within `limit` metres, and that belongs
     to the limb that lies there; the rest is filled harmonically over the mesh `faces` (Abdrashitov et al. 2023,
     Robust Skin Weights Transfer).
@@ -42,7 +42,7 @@ def transferred_weights(
     Returns:
         rows that sum to one, and how many were filled.
     """
-    weights = (match.barycentric[:, :, None] * source[source_faces[match.face]]).sum(1)
+    weights = blended(source, source_faces[match.face], match.barycentric)
     good = match.agrees & (match.distance < limit)
     if weights.shape[1] == len(LIMBS):
         good &= ~detached_vertices(weights, faces)
@@ -50,9 +50,7 @@ def transferred_weights(
     return weights / weights.sum(1, keepdims=True), int((~good).sum())
 
 
-def quantised(
-    weights: Float[np.ndarray, "n joints"],
-) -> tuple[UInt8[np.ndarray, "n 4"], UInt8[np.ndarray, "n 4"]]:
+def quantised(weights: Float[Array, "n joints"]) -> tuple[UInt8[Array, "n 4"], UInt8[Array, "n 4"]]:
     """The four largest weights as bytes that sum to exactly 255, by largest remainder.
 
     Influences are sorted by weight; an influence of weight 0 names joint 0, as glTF asks, and no joint is

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 from scipy.ndimage import binary_erosion
 
 from avatar.baked_avatar import Avatar
@@ -22,12 +23,7 @@ from player.scene.renderer import Renderer
 
 Mode = Literal["off", "linear", "network"]
 MODES: tuple[Mode, ...] = ("off", "linear", "network")  # simplest first
-REGIONS = {
-    "total": "body",
-    "head": "head",
-    "left_hand": "hand_left",
-    "right_hand": "hand_right",
-}  # view of each
+REGIONS = {"total": "body", "head": "head", "left_hand": "hand_left", "right_hand": "hand_right"}  # view of each
 # less than the third digit after the point: the simpler mode stands
 TIE_DB = 0.005
 
@@ -70,8 +66,14 @@ def some_poses(views: list[HeldOutView], count: int | None) -> list[HeldOutView]
 
 def modes_of(avatar: Avatar) -> list[str]:
     """View modes that the file holds, simplest first; `vertex` is the richest of them, asked at vertices."""
-    held = [mode for mode in MODES if mode == "off" or getattr(avatar, mode) is not None]
+    there = {"off": True, "linear": avatar.linear is not None, "network": avatar.network is not None}
+    held = [mode for mode in MODES if there[mode]]
     return held if len(held) == 1 else [held[0], "vertex", *held[1:]]
+
+
+def scored_mask(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+    """The mask eroded by one pixel: silhouettes differ by a fraction of a pixel in any two rasterisers."""
+    return binary_erosion(mask, np.ones((3, 3), bool), border_value=0)
 
 
 def mode_errors(
@@ -92,8 +94,7 @@ def mode_errors(
             for view in group:
                 region = next(name for name, shown in REGIONS.items() if shown == view.view)
                 mask = view.mask() if region == "total" else view.parts() == PARTS.index(view.view) + 1
-                inside = binary_erosion(mask, np.ones((3, 3), bool), border_value=0)
-                truth = view.image()
+                inside, truth = scored_mask(mask), view.image()
                 for mode, renderer in renderers.items():
                     image = renderer.draw([(view.axis_angle, view.root)], view.camera)
                     scored = inside & (image[..., 3] == 255)
@@ -108,12 +109,7 @@ def mode_errors(
 def decibels_by_region(errors: dict[str, PooledError]) -> dict[str, float | None]:
     """Decibels by region, hands together, and of all pictures."""
     hands = errors["left_hand"].plus(errors["right_hand"])
-    by_region = {
-        "total": errors["total"],
-        "head": errors["head"],
-        "hands": hands,
-        "all": pooled(errors.values()),
-    }
+    by_region = {"total": errors["total"], "head": errors["head"], "hands": hands, "all": pooled(errors.values())}
     return {name: one.rounded(3) for name, one in by_region.items()}
 
 
@@ -172,10 +168,11 @@ def measured_default(avatar: Avatar, true: TrueViews) -> tuple[Mode, Facts]:
 def halves(sets: dict[str, list[HeldOutView]]) -> tuple[dict[str, list[HeldOutView]], dict[str, list[HeldOutView]]]:
     """Every second pose of each set, the first among them, and the others: no picture is in both."""
     first = {name: set(pose_numbers(views)[::2]) for name, views in sets.items()}
-    return (
-        {name: [view for view in views if view.pose_index in first[name]] for name, views in sets.items()},
-        {name: [view for view in views if view.pose_index not in first[name]] for name, views in sets.items()},
+    one, other = (
+        {name: [v for v in views if (v.pose_index in first[name]) == chosen] for name, views in sets.items()}
+        for chosen in (True, False)
     )
+    return one, other
 
 
 def pose_numbers(views: Iterable[HeldOutView]) -> list[int]:

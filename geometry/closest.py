@@ -1,5 +1,6 @@
 """Closest points: of one triangle, of a whole mesh, and of a mesh where it faces the same way."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -131,18 +132,18 @@ def _keep_nearer(
 class Match(NamedTuple):
     """For each query, the point of a mesh that stands for it."""
 
-    face: Integer[np.ndarray, "n"]
-    barycentric: Float[np.ndarray, "n 3"]
-    distance: Float[np.ndarray, "n"]  # metres
+    face: Integer[Array, "n"]
+    barycentric: Float[Array, "n 3"]
+    distance: Float[Array, "n"]  # metres
     # a triangle facing the same way was among the candidates
-    agrees: Bool[np.ndarray, "n"]
+    agrees: Bool[Array, "n"]
 
 
 def match_surface(
-    points: Float[np.ndarray, "n 3"],
-    normals: Float[np.ndarray, "n 3"],
-    vertices: Float[np.ndarray, "vertices 3"],
-    faces: Integer[np.ndarray, "faces 3"],
+    points: Float[Array, "n 3"],
+    normals: Float[Array, "n 3"],
+    vertices: Float[Array, "vertices 3"],
+    faces: Integer[Array, "faces 3"],
     *,
     candidates: int = 24,
     cosine: float = 0.0,
@@ -156,12 +157,16 @@ def match_surface(
     corners = vertices[faces]
     facing = face_normals(vertices, faces)
     tree = KDTree(corners.mean(1))
-    found = _compete(points, normals, corners, facing, tree, min(FEW, candidates, len(faces)), cosine)
+
+    def found_among(rows: Integer[Array, "rows"], count: int) -> Match:
+        _, near = tree.query(points[rows], k=count, workers=-1)
+        agrees = lambda face, _: (facing[face] * normals[rows]).sum(1) > cosine
+        return best_candidate(points[rows], near.reshape(len(rows), count), corners, agrees)
+
+    found = found_among(np.arange(len(points)), min(FEW, candidates, len(faces)))
     doubtful = np.flatnonzero(~found.agrees)
     if len(doubtful) and min(candidates, len(faces)) > FEW:
-        count = min(candidates, len(faces))
-        again = _compete(points[doubtful], normals[doubtful], corners, facing, tree, count, cosine)
-        for kept, better in zip(found, again, strict=True):
+        for kept, better in zip(found, found_among(doubtful, min(candidates, len(faces))), strict=True):
             kept[doubtful] = better
     return found
 
@@ -170,27 +175,23 @@ def match_surface(
 FEW = 6
 
 
-def _compete(
-    points: np.ndarray,
-    normals: np.ndarray,
-    corners: np.ndarray,
-    facing: np.ndarray,
-    tree: KDTree,
-    count: int,
-    cosine: float,
+def best_candidate(
+    points: Float[Array, "n 3"],
+    candidates: Integer[Array, "n k"],
+    corners: Float[Array, "faces 3 3"],
+    agrees: Callable[[Integer[Array, "n"], Float[Array, "n 3"]], Bool[Array, "n"]],
 ) -> Match:
-    _, near = tree.query(points, k=count, workers=-1)
-    near = near.reshape(len(points), count)
-    best_face = near[:, 0].copy()
-    best_bary = np.zeros((len(points), 3))
-    best = np.full(len(points), np.inf)
-    best_agrees = np.zeros(len(points), bool)
-    for k in range(count):
-        face = near[:, k]
-        nearest, bary = closest_on_triangles(points, corners[face])
-        away = np.linalg.norm(nearest - points, axis=1)
-        agrees = (facing[face] * normals).sum(1) > cosine
-        wins = (agrees & ~best_agrees) | ((agrees == best_agrees) & (away < best))
-        best_face[wins], best_bary[wins], best[wins] = face[wins], bary[wins], away[wins]
-        best_agrees |= agrees
-    return Match(best_face, best_bary, best, best_agrees)
+    """Of each point's candidate triangles the closest that agrees, else the closest of all.
+
+    `agrees` is asked for one triangle a point and the barycentric coordinates of its closest place.
+    """
+    best = Match(
+        candidates[:, 0].copy(), np.zeros((len(points), 3)), np.full(len(points), np.inf), np.zeros(len(points), bool)
+    )
+    for face in candidates.T:
+        nearest, weights = closest_on_triangles(points, corners[face])
+        away, good = np.linalg.norm(nearest - points, axis=1), agrees(face, weights)
+        wins = (good & ~best.agrees) | ((good == best.agrees) & (away < best.distance))
+        best.face[wins], best.barycentric[wins], best.distance[wins] = face[wins], weights[wins], away[wins]
+        best.agrees[wins] = good[wins]
+    return best

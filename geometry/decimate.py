@@ -13,13 +13,15 @@ from geometry.isosurface import PointFunction
 from geometry.mesh import TriangleMesh, area_normals, compact, component_labels, face_areas, largest_component
 from geometry.repair import find_faults, repair, split_nonmanifold
 
+Array = np.ndarray
+
 
 class Enlargement(NamedTuple):
     """A part that is blown up before collapsing, so that it keeps more triangles: Garland's quadrics measure
     length, and a part twice as large counts four times as much."""
 
-    anchor: Float[np.ndarray, "3"]  # canonical, metres: wrist or head joint
-    axis: Float[np.ndarray, "3"]  # unit, from the anchor into the part
+    anchor: Float[Array, "3"]  # canonical, metres: wrist or head joint
+    axis: Float[Array, "3"]  # unit, from the anchor into the part
     radius: float  # metres around the axis
     scale: float
 
@@ -27,12 +29,12 @@ class Enlargement(NamedTuple):
 class Magnifier(NamedTuple):
     """A ball that is blown up before collapsing; what lies farther off is pushed outwards, not pressed together."""
 
-    centre: Float[np.ndarray, "3"]  # canonical, metres
+    centre: Float[Array, "3"]  # canonical, metres
     radius: float  # metres
     scale: float
 
 
-def magnified(points: Float[np.ndarray, "n 3"], balls: Sequence[Magnifier]) -> Float[np.ndarray, "n 3"]:
+def magnified(points: Float[Array, "n 3"], balls: Sequence[Magnifier]) -> Float[Array, "n 3"]:
     """Points with each ball grown about its centre.
 
     x + (scale - 1) min(r, radius) (x - centre) / r, a sum of gradients of convex functions: one to one for any balls.
@@ -46,8 +48,8 @@ def magnified(points: Float[np.ndarray, "n 3"], balls: Sequence[Magnifier]) -> F
 
 
 def enlarged(
-    vertices: Float[np.ndarray, "vertices 3"], parts: Sequence[Enlargement | Magnifier], ramp: float = 0.06
-) -> np.ndarray:
+    vertices: Float[Array, "vertices 3"], parts: Sequence[Enlargement | Magnifier], ramp: float = 0.06
+) -> Array:
     """Vertices with balls magnified, then parts grown away from their anchors; growth fades in over `ramp` metres."""
     vertices = magnified(vertices, [part for part in parts if isinstance(part, Magnifier)])
     result = vertices.copy()
@@ -126,10 +128,7 @@ BEARABLE = 0.015
 
 def _collapsed(mesh: TriangleMesh, target: int) -> tuple[TriangleMesh, float]:
     """The mesh collapsed, closed and in one piece, and the share of its area that repair took or put in."""
-    points, faces = (
-        np.ascontiguousarray(mesh.vertices, np.float32),
-        np.ascontiguousarray(mesh.faces, np.int32),
-    )
+    points, faces = (np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.int32))
     aggression = GENTLE
     while len(faces) > 1.01 * target and aggression <= 10:
         points, faces, aggression = _gentle_pass(points, faces, target, aggression)
@@ -147,11 +146,9 @@ def _collapsed(mesh: TriangleMesh, target: int) -> tuple[TriangleMesh, float]:
 GENTLE = 3
 
 
-def _gentle_pass(
-    points: np.ndarray, faces: np.ndarray, target: int, aggression: int
-) -> tuple[np.ndarray, np.ndarray, int]:
+def _gentle_pass(points: Array, faces: Array, target: int, aggression: int) -> tuple[Array, Array, int]:
     """One call of the library; the attempt with the fewest faults, and the aggressiveness of the next pass."""
-    best: tuple[int, np.ndarray, np.ndarray] | None = None
+    best: tuple[int, Array, Array] | None = None
     for attempt in (target, int(target * 1.008), int(target * 0.985)):
         found, triangles = fast_simplification.simplify(points, faces, target_count=attempt, agg=aggression)[:2]
         faults = sum(find_faults(triangles.astype(np.int64), len(found)))
@@ -166,12 +163,12 @@ def _gentle_pass(
 
 
 def shrunk(
-    points: Float[np.ndarray, "n 3"],
-    grown: Float[np.ndarray, "vertices 3"],
-    original: Float[np.ndarray, "vertices 3"],
+    points: Float[Array, "n 3"],
+    grown: Float[Array, "vertices 3"],
+    original: Float[Array, "vertices 3"],
     parts: Sequence[Enlargement | Magnifier],
     steps: int = 60,
-) -> Float[np.ndarray, "n 3"]:
+) -> Float[Array, "n 3"]:
     """Inverse of `enlarged`: start at the displacement of the nearest vertex, then x <- x - J^-1 (f(x) - y)
     with J approximated by the local scale, which converges because the growth is monotone along the axis."""
     _, nearest = KDTree(grown).query(points)
@@ -216,7 +213,7 @@ def balanced(
     return TriangleMesh(vertices, faces)
 
 
-def unfolded(moved: np.ndarray, before: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def unfolded(moved: Array, before: Array, faces: Array) -> Array:
     """The moved vertices, less the moves at triangles they would turn over."""
     vertices = moved.copy()
     facing = area_normals(before, faces)

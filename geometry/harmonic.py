@@ -40,3 +40,10 @@ def fill_harmonic(
     filled = values.astype(np.float64).copy()
     filled[free] = factors.solve(rows[:, fixed] @ values[fixed])
     return filled
+
+
+def fill_reached(
+    values: Float[Array, "vertices channels"], known: Bool[Array, "vertices"], faces: Integer[Array, "faces 3"]
+) -> Float[Array, "vertices channels"]:
+    """As `fill_harmonic`; rows that hang together with no known one stay as they are."""
+    return fill_harmonic(values, known | ~anchored(known, faces), faces)

@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from avatar.rotation import matrix_from_axis_angle, nearest_rotation
+from avatar.rotation import nearest_rotation
 from avatar.similarity import Registration, similarity_rows, small_similarity
 from geometry.closest import TriangleIndex, closest_points
+from geometry.least_squares import NormalEquations
 
 Array = np.ndarray
 
@@ -21,10 +22,10 @@ class Anchors(NamedTuple):
     spread: float  # metres, standard deviation of a coordinate
 
 
-INDEPENDENT = (
-    # a surface trained from pictures is off in patches: it says about as much as so many free points
-    50
-)
+# a surface trained from pictures is off in patches: it says about as much as so many free points
+INDEPENDENT = 50
+STEPS = 40
+MOST = 0.03  # metres
 
 
 def refine_by_surfaces(
@@ -35,8 +36,6 @@ def refine_by_surfaces(
     source_normals: Float[Array, "n 3"] | None = None,
     anchors: Anchors | None = None,
     reach: float = 0.02,
-    steps: int = 40,
-    most: float = 0.03,
 ) -> Registration:
     """Eq. 5: target_from_source by point-to-plane ICP, robust to surface that only one side has.
 
@@ -53,87 +52,75 @@ def refine_by_surfaces(
 
     Raises:
         ValueError: numbers are not finite, under a tenth of the points find a partner, the steps do not settle,
-            or the answer moves points by more than `most` metres: the start was wrong, or the units are.
+            or the answer moves points by more than MOST: the start was wrong, or the units are.
     """
     for name, array in (("source", source), ("target", target), ("normal", target_normals)):
         if not np.isfinite(array).all():
             raise ValueError(f"head registration: a {name} is not finite")
     tree = KDTree(target)
-    transform = np.eye(4)
-    residual, moved_by = np.inf, np.inf
-    for step in range(steps):
+    transform, residual, moved_by = np.eye(4), np.inf, np.inf
+    for step in range(STEPS):
         moved = source @ transform[:3, :3].T + transform[:3, 3]
-        gap, row = tree.query(moved, distance_upper_bound=reach * max(0.25, 1 - step / steps), workers=-1)
+        gap, row = tree.query(moved, distance_upper_bound=reach * max(0.25, 1 - step / STEPS), workers=-1)
         near = np.isfinite(gap)
         row = np.where(near, row, 0)
         if source_normals is not None:
             turned = source_normals @ (transform[:3, :3] / np.cbrt(np.linalg.det(transform[:3, :3]))).T
             near &= (turned * target_normals[row]).sum(1) > 0.5
         if near.sum() < max(6, 0.1 * len(source)):
-            share = near.mean() if len(near) else 0.0
+            share = near.sum() / max(len(near), 1)
             raise ValueError(
                 f"head registration: {share:.0%} of the surface within {reach} m of the body's, under 10 %"
             )
-        p, q, n = moved[near], target[row[near]], target_normals[row[near]]
-        r = ((p - q) * n).sum(1)
+        p, n = moved[near], target_normals[row[near]]
+        r = ((p - target[row[near]]) * n).sum(1)
         residual = float(np.median(np.abs(r)))
         w = 1 / np.maximum(np.abs(r) / max(residual, 1e-9), 1.0)
-        if anchors is None:
-            update, moved_by = _plane_step(p, n, r, w)
-        else:
-            update, moved_by = _anchored_step(p, n, r, w, residual, anchors, transform)
+        update, moved_by = _step(p, n, r, w, None if anchors is None else (anchors, transform))
         transform = update @ transform
         if moved_by < 1e-9:
             break
     # a rotation hardly determined may swing by a few millimetres; that is no failure
     if moved_by > 5e-3:
-        raise ValueError(f"head registration: the last of {steps} steps still moves by {moved_by:.4f} m")
+        raise ValueError(f"head registration: the last of {STEPS} steps still moves by {moved_by:.4f} m")
     shift = np.linalg.norm(source @ transform[:3, :3].T + transform[:3, 3] - source, axis=1).max()
-    if shift > most:
+    if shift > MOST:
         raise ValueError(
-            f"head registration: moves the head by {shift:.3f} m, more than {most}; is Eq. 6's start right?"
+            f"head registration: moves the head by {shift:.3f} m, more than {MOST}; is Eq. 6's start right?"
         )
     return Registration(transform, residual)
 
 
-def _anchored_step(
+def _step(
     points: Float[Array, "k 3"], normals: Float[Array, "k 3"], r: Float[Array, "k"], w: Float[Array, "k"],
-    residual: float, anchors: Anchors, transform: Float[Array, "4 4"],
+    anchored: tuple[Anchors, Float[Array, "4 4"]] | None,
 ) -> tuple[Float[Array, "4 4"], float]:  # fmt: skip
-    """The small similarity that lowers the sum over surfaces and anchors the most, and how far it moves points."""
-    centre = points.mean(0)
-    size = max(float(np.abs(points - centre).max()), 1e-12)
-    # spread of a surface point, from the median of |r|
-    spread = max(1.48 * residual, 1e-4)
-    w = w * (INDEPENDENT / w.sum() / spread**2)
-    J = np.einsum("ni,nij->nj", normals, similarity_rows(points, centre, size))
-    placed = anchors.source @ transform[:3, :3].T + transform[:3, 3]
-    e = placed - anchors.target
-    K = similarity_rows(placed, centre, size).reshape(-1, 7)
-    H = (J.T * w) @ J + K.T @ K / anchors.spread**2
-    g = (J.T * w) @ r + K.T @ e.ravel() / anchors.spread**2
-    delta = -np.linalg.solve(H, g)
-    return small_similarity(delta, centre, size), float(np.abs(delta).max())
+    """The motion that lowers the sum over surfaces the most when linearised, and the metres by which it moves points.
 
-
-def _plane_step(
-    points: Float[Array, "k 3"], normals: Float[Array, "k 3"], r: Float[Array, "k"], w: Float[Array, "k"]
-) -> tuple[Float[Array, "4 4"], float]:
-    """The rigid motion that lowers sum w r^2 the most when linearised, and the metres by which it moves points."""
+    It is rigid; with anchors, moved so far by the transform beside them, a similarity that lowers their sum as well.
+    """
     # turning about the middle decouples rotation from translation
     centre = points.mean(0)
-    J = np.concatenate([np.cross(points - centre, normals), normals], 1)
     size = max(float(np.abs(points - centre).max()), 1e-12)
-    J[:, :3] /= size
-    H, g = (J * w[:, None]).T @ J, (J * w[:, None]).T @ r
-    values, vectors = np.linalg.eigh(H)
-    usable = values > 1e-3 * values[-1]
-    delta = -vectors[:, usable] @ ((vectors[:, usable].T @ g) / np.maximum(values[usable], 1e-300))
-    R = matrix_from_axis_angle(delta[:3] / size)
-    update = np.eye(4)
-    update[:3, :3] = R
-    update[:3, 3] = centre - R @ centre + delta[3:]
-    return update, float(np.abs(delta).max())
+    J = np.einsum("ni,nij->nj", normals, similarity_rows(points, centre, size))
+    delta = np.zeros(7)
+    if anchored is None:
+        J = J[:, :6]
+        values, vectors = np.linalg.eigh((J.T * w) @ J)
+        usable = values > 1e-3 * values[-1]
+        along = vectors[:, usable].T @ ((J.T * w) @ r)
+        delta[:6] = -vectors[:, usable] @ (along / np.maximum(values[usable], 1e-300))
+    else:
+        anchors, transform = anchored
+        # spread of a surface point, from the median of |r|
+        spread = max(1.48 * float(np.median(np.abs(r))), 1e-4)
+        placed = anchors.source @ transform[:3, :3].T + transform[:3, 3]
+        K = similarity_rows(placed, centre, size).reshape(-1, 7)
+        equations = NormalEquations(1, 7)
+        equations.add(0, J, -r, w * (INDEPENDENT / w.sum() / spread**2))
+        equations.add(0, K, (anchors.target - placed).ravel(), np.full(len(K), anchors.spread**-2.0))
+        delta = equations.solve()[0][0]
+    return small_similarity(delta, centre, size), float(np.abs(delta).max())
 
 
 def rigid_icp(source: Float[Array, "n 3"], target: TriangleIndex, *, rounds: int = 20) -> Float[Array, "4 4"]:

@@ -20,22 +20,42 @@ from geometry.mesh import (
     separate_pieces,
 )
 
-PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
+Array = np.ndarray
+
+PointFunction = Callable[[Float[Array, "n 3"]], Array]
 
 
 class Detail(NamedTuple):
     """A box whose surface has smaller features than the grid would otherwise hold."""
 
-    low: Float[np.ndarray, "3"]  # metres
-    high: Float[np.ndarray, "3"]
+    low: Float[Array, "3"]  # metres
+    high: Float[Array, "3"]
     step: float  # metres
+
+
+class Hints(NamedTuple):
+    """Points near the surface that is looked for."""
+
+    points: Float[Array, "hints 3"]  # canonical, metres
+    # head and hands: the grid is fine along every axis they span
+    fine: Bool[Array, "hints"]
+    # unit normals; where they are given nothing is kept that lies more than a coarse step in front of them: an island,
+    # which a coarse grid may join to the surface
+    facing: Float[Array, "hints 3"] | None = None
+
+
+class GridSteps(NamedTuple):
+    """How far the lines of the grid lie apart, metres."""
+
+    coarse: float = 0.004
+    fine: float = 0.002
 
 
 class Extraction(NamedTuple):
     """The zero set of a field, and how well it was found."""
 
     mesh: TriangleMesh
-    normals: Float[np.ndarray, "vertices 3"]  # unit gradient of the field
+    normals: Float[Array, "vertices 3"]  # unit gradient of the field
     # distance queries spent on the grid
     queries: int
     islands: int  # components dropped
@@ -45,7 +65,7 @@ class Extraction(NamedTuple):
     # grid samples of air that were filled
     slits: int
     # the layer of each vertex; extract makes one layer, numbered 0
-    layer: Integer[np.ndarray, "vertices"]
+    layer: Integer[Array, "vertices"]
 
 
 def graded_axis(
@@ -56,7 +76,7 @@ def graded_axis(
     fine: float,
     block: int = 8,
     details: Sequence[tuple[float, float, float]] = (),
-) -> Float[np.ndarray, "samples"]:
+) -> Float[Array, "samples"]:
     """Grid coordinates from low to at least high: step `fine` inside the spans, `coarse` elsewhere.
 
     `details` are spans with a step of their own; the finest counts.
@@ -77,12 +97,12 @@ def graded_axis(
 
 def sample_near_surface(
     distance: PointFunction,
-    axes: tuple[np.ndarray, ...],
-    hints: Float[np.ndarray, "hints 3"],
+    axes: tuple[Array, ...],
+    hints: Float[Array, "hints 3"],
     *,
     block: int = 8,
     trust: float = 1.5,
-) -> tuple[Float[np.ndarray, "x y z"], int]:
+) -> tuple[Float[Array, "x y z"], int]:
     """Signed distance on a rectilinear grid, evaluated only where the surface can be.
 
     Blocks of 8, 4 and 2 samples are asked at their centre; one whose |distance| exceeds `trust` times its
@@ -125,36 +145,24 @@ def sample_near_surface(
         stride = half
 
 
-def in_front(
-    index: Integer[np.ndarray, "n 3"],
-    axes: tuple[np.ndarray, ...],
-    places: Float[np.ndarray, "places 3"],
-    facing: Float[np.ndarray, "places 3"],
-    reach: float,
-) -> Integer[np.ndarray, "m 3"]:
-    """Those grid samples that lie more than `reach` metres off the nearest place, on the side that it faces."""
-    points = np.stack([axes[i][index[:, i]] for i in range(3)], 1)
-    away, near = KDTree(places).query(points, workers=-1)
-    along = ((points - places[near]) * facing[near]).sum(1)
-    return index[(away > reach) & (along > 0.5 * away)]
-
-
 def front_samples(
-    volume: Float[np.ndarray, "x y z"],
-    axes: tuple[np.ndarray, ...],
-    places: Float[np.ndarray, "places 3"],
-    facing: Float[np.ndarray, "places 3"],
-    reach: float,
-) -> tuple[np.ndarray, ...]:
-    """Index of the samples inside that are `in_front`, from the skin of what is inside inwards: to ask all that lies
-    deep within a person cost 40 CPU s."""
-    asked = np.zeros(volume.shape, bool)
+    volume: Float[Array, "x y z"], axes: tuple[Array, ...], places: Float[Array, "places 3"],
+    facing: Float[Array, "places 3"], reach: float,
+) -> tuple[Array, ...]:  # fmt: skip
+    """Index of the samples inside that lie more than `reach` metres off the nearest place, on the side that it faces.
+
+    From the skin of what is inside inwards: to ask all that lies deep within a person cost 40 CPU s.
+    """
+    tree, asked = KDTree(places), np.zeros(volume.shape, bool)
     skin = (volume < 0) & np.asarray(binary_dilation(volume > 0), bool)
     found, new = [np.zeros((0, 3), np.int64)], np.argwhere(skin)
     steps = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
     while len(new):
         asked[tuple(new.T)] = True
-        found.append(in_front(new, axes, places, facing, reach))
+        points = np.stack([axes[i][new[:, i]] for i in range(3)], 1)
+        away, near = tree.query(points, workers=-1)
+        along = ((points - places[near]) * facing[near]).sum(1)
+        found.append(new[(away > reach) & (along > 0.5 * away)])
         beside = np.clip((found[-1][:, None] + steps).reshape(-1, 3), 0, np.array(volume.shape) - 1)
         beside = np.unique(beside, axis=0)
         at = tuple(beside.T)
@@ -163,8 +171,8 @@ def front_samples(
 
 
 def slits_filled(
-    volume: Float[np.ndarray, "x y z"], axes: tuple[np.ndarray, ...], *, reach: float = 2.5
-) -> tuple[Float[np.ndarray, "x y z"], int]:
+    volume: Float[Array, "x y z"], axes: tuple[Array, ...], *, reach: float = 2.5
+) -> tuple[Float[Array, "x y z"], int]:
     """Slits of air that end where the field was made solid (capture/template/solid.py), filled; and how many samples.
 
     A sheet inside the body that is joined to the skin is no component of its own. Its air is at most
@@ -200,17 +208,17 @@ def slits_filled(
     return filled, count
 
 
-def _inside_by(mask: Bool[np.ndarray, "x y z"]) -> Float[np.ndarray, "x y z"]:
+def _inside_by(mask: Bool[Array, "x y z"]) -> Float[Array, "x y z"]:
     """Distance of each sample to the nearest one outside the mask, in samples."""
     return np.asarray(distance_transform_edt(mask), np.float64)
 
 
-def _pieces(mask: Bool[np.ndarray, "x y z"], connectivity: int) -> Integer[np.ndarray, "x y z"]:
+def _pieces(mask: Bool[Array, "x y z"], connectivity: int) -> Integer[Array, "x y z"]:
     """Connected pieces of the mask, numbered from 1: through faces (1) or also edges and corners (3)."""
     return np.asarray(label(mask, generate_binary_structure(3, connectivity))[0])  # type: ignore[index]
 
 
-def zero_set_mesh(volume: Float[np.ndarray, "x y z"], axes: Sequence[np.ndarray]) -> TriangleMesh:
+def zero_set_mesh(volume: Float[Array, "x y z"], axes: Sequence[Array]) -> TriangleMesh:
     """Marching cubes (Lewiner et al. 2003) on a rectilinear grid; triangles face where the values grow."""
     # "descent" turns triangles outwards for distances that grow outwards (skimage names it for densities)
     vertices, faces, _, _ = marching_cubes(volume, 0.0, gradient_direction="descent")
@@ -219,16 +227,10 @@ def zero_set_mesh(volume: Float[np.ndarray, "x y z"], axes: Sequence[np.ndarray]
 
 
 def project_to_zero(
-    distance: PointFunction,
-    normal: PointFunction,
-    points: Float[np.ndarray, "n 3"],
-    *,
-    reach: float,
-    steps: int = 5,
-    tolerance: float = 2e-5,
-    directions: Float[np.ndarray, "n 3"] | None = None,
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
-    """Points moved along the field's normal onto its zero set: secant steps with a safeguard.
+    distance: PointFunction, points: Float[Array, "n 3"], directions: Float[Array, "n 3"], *, reach: float,
+    steps: int = 5, tolerance: float = 2e-5,
+) -> tuple[Float[Array, "n 3"], Float[Array, "n"]]:  # fmt: skip
+    """Points moved along the field's normals (`directions`) onto its zero set: secant steps with a safeguard.
 
     The distance's slope along the normal is one only where the Eikonal term held, so the slope is taken
     from the last two values (Newton with a measured derivative); a step leaves neither `reach` (metres)
@@ -236,8 +238,6 @@ def project_to_zero(
     no zero within reach stays where it was least far, and its distance shows it.
     """
     n = len(points)
-    if directions is None:
-        directions = normal(points)
     value = distance(points)
     offset = np.zeros(n)
     best_offset, best = offset.copy(), np.abs(value)
@@ -268,49 +268,28 @@ def project_to_zero(
 
 
 def extract(
-    distance: PointFunction,
-    normal: PointFunction,
-    hints: Float[np.ndarray, "hints 3"],
-    fine: Bool[np.ndarray, "hints"],
-    *,
-    coarse_step: float = 0.004,
-    fine_step: float = 0.002,
-    margin: float = 0.03,
-    least: float | None = None,
-    details: Sequence[Detail] = (),
-    facing: Float[np.ndarray, "hints 3"] | None = None,
-) -> Extraction:
+    distance: PointFunction, normal: PointFunction, hints: Hints, steps: GridSteps = GridSteps(), *,  # noqa: B008 frozen
+    margin: float = 0.03, least: float | None = None, details: Sequence[Detail] = (),
+) -> Extraction:  # fmt: skip
     """The field's zero set as one closed mesh, its vertices on the surface to under 0.1 mm where it is smooth.
 
-    hints are points near the surface (metres, canonical); those marked fine (head, hands) get `fine_step`
-    along every axis they span, `details` their own step. The largest connected piece is kept, or with `least` all
-    pieces of so much area (square metres). Where `facing`, the hints' unit normals, are given, nothing is kept that
-    lies more than `coarse_step` in front of them: an island, which a coarse grid may join to the surface.
+    `details` get their own steps. The largest connected piece is kept, or with `least` all pieces of so much area
+    (square metres).
 
     Raises:
         AssetError: the field is not finite, never changes sign, or leaves the hints' box.
     """
-    spans = _fine_spans(hints[fine])
-    low, high = hints.min(0) - margin, hints.max(0) + margin
-    axes = tuple(
-        graded_axis(
-            low[i], high[i], spans[i], coarse_step, fine_step,
-            details=[(float(one.low[i]), float(one.high[i]), one.step) for one in details],
-        )
-        for i in range(3)
-    )  # fmt: skip
-    volume, queries = sample_near_surface(distance, axes, hints)
+    axes = _axes(hints, steps, margin, details)
+    volume, queries = sample_near_surface(distance, axes, hints.points)
     if not np.isfinite(volume).all():
         raise AssetError(f"fused field: distance should be finite, {int((~np.isfinite(volume)).sum())} samples are not")
-    if not (volume < 0).any():
-        raise AssetError("fused field: distance should change sign, it is positive everywhere (no surface)")
-    if not (volume > 0).any():
-        raise AssetError("fused field: distance should change sign, it is negative everywhere (no surface)")
+    for side, there in (("positive", (volume < 0).any()), ("negative", (volume > 0).any())):
+        if not there:
+            raise AssetError(f"fused field: distance should change sign, it is {side} everywhere (no surface)")
     # before the box's faces are looked at: off the template's band the field was never trained to be air
-    if facing is not None:
-        volume[front_samples(volume, axes, hints, facing, coarse_step)] = 0.5 * fine_step
-    border = min(volume[i, :, :].min() for i in (0, -1))
-    border = min(border, *(volume[:, i, :].min() for i in (0, -1)), *(volume[:, :, i].min() for i in (0, -1)))
+    if hints.facing is not None:
+        volume[front_samples(volume, axes, hints.points, hints.facing, steps.coarse)] = 0.5 * steps.fine
+    border = min(np.take(volume, end, axis).min() for axis in range(3) for end in (0, -1))
     if border <= 0:
         raise AssetError(
             f"fused field: distance should be positive {margin * 100:.0f} cm outside the template, is {border:.4f} m"
@@ -330,26 +309,28 @@ def extract(
         raise AssetError(
             "fused field: distance should be negative inside the person, its largest surface is inside out"
         )
-    projected, residual = project_to_zero(distance, normal, mesh.vertices, reach=coarse_step)
+    projected, residual = project_to_zero(distance, mesh.vertices, normal(mesh.vertices), reach=steps.coarse)
     mesh = TriangleMesh(projected, mesh.faces)
     exceeded = float(np.quantile(residual, 0.999))
     return Extraction(mesh, normal(projected), queries, islands, island_area, exceeded, slits,
                       np.zeros(len(projected), np.int64))  # fmt: skip
 
 
-def _fine_spans(points: Float[np.ndarray, "n 3"]) -> list[list[tuple[float, float]]]:
-    """Along each axis the low and high end of every group of points, a centimetre wider on both sides."""
-    spans: list[list[tuple[float, float]]] = [[], [], []]
-    if len(points):
-        labels = _clusters(points)
-        for label in range(labels.max() + 1):
-            own = points[labels == label]
-            for axis in range(3):
-                spans[axis].append((own[:, axis].min() - 0.01, own[:, axis].max() + 0.01))
-    return spans
+def _axes(hints: Hints, steps: GridSteps, margin: float, details: Sequence[Detail]) -> tuple[Array, ...]:
+    """Lines of the grid, fine along the spans of every group of fine points, a centimetre wider on both sides."""
+    low, high, points = hints.points.min(0) - margin, hints.points.max(0) + margin, hints.points[hints.fine]
+    labels = _clusters(points) if len(points) else np.zeros(0, int)
+    groups = [points[labels == label] for label in np.unique(labels)]
+    return tuple(
+        graded_axis(
+            low[i], high[i], [(own[:, i].min() - 0.01, own[:, i].max() + 0.01) for own in groups], *steps,
+            details=[(float(one.low[i]), float(one.high[i]), one.step) for one in details],
+        )
+        for i in range(3)
+    )  # fmt: skip
 
 
-def _clusters(points: Float[np.ndarray, "n 3"], cell: float = 0.03) -> Integer[np.ndarray, "n"]:
+def _clusters(points: Float[Array, "n 3"], cell: float = 0.03) -> Integer[Array, "n"]:
     """Groups of points closer than about two cells: the head and each hand get spans of their own."""
     keys, owner = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
     owner = owner.reshape(-1)

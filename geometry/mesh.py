@@ -60,6 +60,16 @@ def vertex_normals(
     return normals if welded is None else normals[welded]
 
 
+def blended(
+    values: Float[Array, "vertices channels"], corners: Integer[Array, "*n 3"], weight: Float[Array, "*n 3"]
+) -> Float[Array, "*n channels"]:
+    """Barycentric interpolation. Term by term: a sum over an axis of three takes several times as long."""
+    result = weight[..., 0, None] * values[corners[..., 0]]
+    for i in (1, 2):
+        result += weight[..., i, None] * values[corners[..., i]]
+    return result
+
+
 def weld(vertices: Float[Array, "vertices 3"]) -> Integer[Array, "vertices"]:
     """For every vertex the first vertex at its place: texture seams repeat vertices that are one point.
 
@@ -106,8 +116,7 @@ def compact(
 
 def largest_component(mesh: TriangleMesh) -> tuple[TriangleMesh, int, float]:
     """The component of greatest area, how many others were dropped, and their share of the area."""
-    labels = component_labels(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
-    areas = np.bincount(labels, face_areas(mesh.vertices, mesh.faces))
+    labels, areas = _pieces(mesh)
     best = int(areas.argmax())
     dropped = int((areas > 0).sum()) - 1
     kept, _ = compact(mesh.vertices, mesh.faces[labels == best])
@@ -116,12 +125,17 @@ def largest_component(mesh: TriangleMesh) -> tuple[TriangleMesh, int, float]:
 
 def separate_pieces(mesh: TriangleMesh, least: float) -> list[TriangleMesh]:
     """The connected pieces of at least so much area, the largest first."""
-    labels = component_labels(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
-    areas = np.bincount(labels, face_areas(mesh.vertices, mesh.faces))
+    labels, areas = _pieces(mesh)
     order = np.argsort(-areas, kind="stable")
     return [
         compact(mesh.vertices, mesh.faces[labels == label])[0] for label in order[areas[order] >= max(least, 1e-12)]
     ]
+
+
+def _pieces(mesh: TriangleMesh) -> tuple[Integer[Array, "faces"], Float[Array, "pieces"]]:
+    """The connected piece of each face, and the pieces' areas."""
+    labels = component_labels(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
+    return labels, np.bincount(labels, face_areas(mesh.vertices, mesh.faces))
 
 
 def concatenated(meshes: Sequence[TriangleMesh]) -> TriangleMesh:

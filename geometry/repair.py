@@ -12,6 +12,8 @@ from jaxtyping import Integer
 from command.errors import AssetError
 from geometry.mesh import TriangleMesh, connected, half_edges, largest_component
 
+Array = np.ndarray
+
 
 class Fault(NamedTuple):
     """What keeps a mesh from being one closed, oriented 2-manifold; all zero when nothing does."""
@@ -28,19 +30,16 @@ class Fault(NamedTuple):
         return any(self)
 
 
-def find_faults(faces: Integer[np.ndarray, "faces 3"], count: int) -> Fault:
+def find_faults(faces: Integer[Array, "faces 3"], count: int) -> Fault:
     """Edges and vertices at which the mesh is not a closed oriented 2-manifold."""
     degenerate = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
     directed = half_edges(faces)
-    key = directed[:, 0] * count + directed[:, 1]
-    _, times = np.unique(key, return_counts=True)
-    pair = np.sort(directed, axis=1)
-    _, both = np.unique(pair[:, 0] * count + pair[:, 1], return_counts=True)
+    times, both = (np.unique(_keys(ends, count), return_counts=True)[1] for ends in (directed, np.sort(directed)))
     crowded = int((both > 2).sum()) + int((times > 1).sum())
     return Fault(int((both == 1).sum()), crowded, _split_count(faces, count), int(degenerate.sum()))
 
 
-def _fans(faces: Integer[np.ndarray, "faces 3"], count: int) -> Integer[np.ndarray, "corners"]:
+def _fans(faces: Integer[Array, "faces 3"], count: int) -> Integer[Array, "corners"]:
     """Fan label of every corner (face-major): corners at one vertex share it if their triangles share an edge there."""
     corner = np.arange(faces.size).reshape(-1, 3)
     # each undirected edge joins, in its two triangles, the corners at its two ends
@@ -49,8 +48,7 @@ def _fans(faces: Integer[np.ndarray, "faces 3"], count: int) -> Integer[np.ndarr
     pair = half_edges(faces)
     flipped = pair[:, 0] > pair[:, 1]
     low, high = np.where(flipped, end, start), np.where(flipped, start, end)
-    pair = np.sort(pair, axis=1)
-    key = pair[:, 0] * count + pair[:, 1]
+    key = _keys(np.sort(pair), count)
     order = np.argsort(key, kind="stable")
     same = np.flatnonzero(key[order][1:] == key[order][:-1])
     left, right = order[same], order[same + 1]
@@ -58,7 +56,7 @@ def _fans(faces: Integer[np.ndarray, "faces 3"], count: int) -> Integer[np.ndarr
     return connected(pairs, faces.size)
 
 
-def _split_count(faces: Integer[np.ndarray, "faces 3"], count: int) -> int:
+def _split_count(faces: Integer[Array, "faces 3"], count: int) -> int:
     fans = _fans(faces, count)
     pairs = np.unique(faces.reshape(-1).astype(np.int64) * (fans.max() + 1) + fans)
     return int((np.bincount(pairs // (fans.max() + 1), minlength=count) > 1).sum())
@@ -74,16 +72,16 @@ def split_nonmanifold(mesh: TriangleMesh, *, rounds: int = 6) -> TriangleMesh:
     vertices, faces = mesh.vertices, mesh.faces.copy()
     for _ in range(rounds):
         directed = half_edges(faces)
-        pair = np.sort(directed, axis=1)
-        key = pair[:, 0].astype(np.int64) * len(vertices) + pair[:, 1]
+        pair = np.sort(directed)
+        key = _keys(pair, len(vertices))
         order = np.argsort(key, kind="stable")
         starts = np.flatnonzero(np.r_[True, np.diff(key[order]) > 0, True])
         crowded = [order[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True) if b - a > 2]
         if not crowded:
             break
         touched: set[int] = set()
-        added: list[np.ndarray] = []
-        points: list[np.ndarray] = []
+        added: list[Array] = []
+        points: list[Array] = []
         for uses in crowded:
             owners = uses % len(faces)
             if touched & set(owners.tolist()) or len(set(owners.tolist())) < len(owners):
@@ -109,9 +107,7 @@ def split_nonmanifold(mesh: TriangleMesh, *, rounds: int = 6) -> TriangleMesh:
     return _split_touching_fans(vertices, faces)
 
 
-def _wedges(
-    vertices: np.ndarray, faces: np.ndarray, edge: np.ndarray, directed: np.ndarray, owners: np.ndarray
-) -> list[tuple[int, int]] | None:
+def _wedges(vertices: Array, faces: Array, edge: Array, directed: Array, owners: Array) -> list[tuple[int, int]] | None:
     """Pairs of uses of an edge with the solid between them; None when forward and backward uses do not match.
 
     Round the edge (from its lower to its higher vertex) a triangle that runs forward faces larger angles, so
@@ -134,7 +130,7 @@ def _wedges(
     return result
 
 
-def _split_touching_fans(vertices: np.ndarray, faces: np.ndarray) -> TriangleMesh:
+def _split_touching_fans(vertices: Array, faces: Array) -> TriangleMesh:
     """Fans that touch in one vertex get a copy of it each."""
     fans = _fans(faces, len(vertices))
     key = faces.reshape(-1).astype(np.int64) * (fans.max() + 1) + fans
@@ -172,21 +168,24 @@ def repair(mesh: TriangleMesh, *, rounds: int = 8) -> TriangleMesh:
     raise AssetError(f"surface: should close into a manifold in {rounds} rounds of repair, left {fault}")
 
 
-def _crowded(faces: Integer[np.ndarray, "faces 3"], count: int) -> np.ndarray:
+def _crowded(faces: Integer[Array, "faces 3"], count: int) -> Array:
     """Triangles at an edge used by more than two, or twice in one direction."""
-    directed = half_edges(faces)
-    _, inverse, times = np.unique(directed[:, 0] * count + directed[:, 1], return_inverse=True, return_counts=True)
-    pair = np.sort(directed, axis=1)
-    _, inverse2, both = np.unique(pair[:, 0] * count + pair[:, 1], return_inverse=True, return_counts=True)
-    bad = (times[inverse] > 1) | (both[inverse2] > 2)
+    bad, directed = np.zeros(faces.size, bool), half_edges(faces)
+    for ends, most in ((directed, 1), (np.sort(directed), 2)):
+        _, inverse, times = np.unique(_keys(ends, count), return_inverse=True, return_counts=True)
+        bad |= times[inverse] > most
     return np.any(bad.reshape(3, -1), axis=0)
 
 
-def _boundary_loops(faces: Integer[np.ndarray, "faces 3"], count: int) -> list[np.ndarray]:
+def _keys(ends: Integer[Array, "edges 2"], count: int) -> Integer[Array, "edges"]:
+    """A number for each edge of a mesh of `count` vertices, by its ends in their order."""
+    return ends[:, 0].astype(np.int64) * count + ends[:, 1]
+
+
+def _boundary_loops(faces: Integer[Array, "faces 3"], count: int) -> list[Array]:
     """Closed chains of edges used once, in the direction of their triangles. Fans are split: chains are simple."""
     directed = half_edges(faces)
-    key = directed[:, 0] * count + directed[:, 1]
-    lone = ~np.isin(key, directed[:, 1] * count + directed[:, 0])
+    lone = ~np.isin(_keys(directed, count), _keys(directed[:, ::-1], count))
     following = dict(zip(directed[lone, 0].tolist(), directed[lone, 1].tolist(), strict=True))
     loops = []
     while following:

@@ -12,7 +12,7 @@ from avatar.body import builtin_body
 from avatar.skeleton import BIG_POSE, LEFT_HAND, PARENTS, RIGHT_HAND, joint_transforms
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
-from geometry.isosurface import extract
+from geometry.isosurface import GridSteps, Hints, extract
 from geometry.mesh import TriangleMesh
 from train.fused import CanonicalField
 from train.run import BakeSource
@@ -94,7 +94,7 @@ def make_run(sheen: float = 0.0, step: float = 0.010, fine: float = 0.005) -> Ba
     hand = np.r_[LEFT_HAND, RIGHT_HAND]
     grid = np.concatenate([hints, box])
     fine_mask = np.isin(np.arange(len(grid)), hand)
-    found = extract(distance, normal, grid, fine_mask, coarse_step=step, fine_step=fine, margin=0.05)
+    found = extract(distance, normal, Hints(grid, fine_mask), GridSteps(step, fine), margin=0.05)
     vertices, faces = found.mesh
 
     each = field.each(torch.tensor(vertices, dtype=torch.float32)).numpy()
@@ -155,4 +155,4 @@ def sphere(radius: float, centre=(0.0, 0.0, 0.0)):
 def ball_mesh(radius: float = 0.1, step: float = 0.01) -> TriangleMesh:
     distance, normal = sphere(radius)
     corners = radius * np.array([[-1.0, -1, -1], [1, 1, 1]])
-    return extract(distance, normal, corners, np.zeros(2, bool), coarse_step=step, fine_step=step).mesh
+    return extract(distance, normal, Hints(corners, np.zeros(2, bool)), GridSteps(step, step)).mesh

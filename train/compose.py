@@ -26,6 +26,7 @@ from capture.register.photometric import ColoredHead, refine_on_video
 from capture.template.layers import BODY, rigid_weights, without_hair
 from capture.template.parts import part_boxes
 from capture.template.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
+from geometry.harmonic import fill_reached
 from geometry.icp import Anchors, refine_by_surfaces
 from geometry.mesh import vertex_normals
 from train.appearance import CodeSteps, match_appearance, overlap_rays
@@ -37,13 +38,21 @@ from train.objective import RayTensors
 from train.parts import eq9_shares, part_weight
 from train.preset import Preset
 from train.skin import CanonicalSkin
-from train.surface import Surface, extract_surface, fill_from_neighbours
+from train.surface import Surface, extract_surface
 from train.trainer import UNSAVED, UNWATCHED, Checkpoints, Watch
 from train.union import train_union, zero_level
 
 Array = np.ndarray
 # takes a line that says what was done
 Say = Callable[[str], None]
+
+
+@contextmanager
+def timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    """The seconds of the block are kept under this name."""
+    began = time.monotonic()
+    yield
+    seconds[name] = time.monotonic() - began
 
 
 @dataclass(frozen=True)
@@ -80,13 +89,6 @@ class TrainedParts:
     # what each part took, and each step of composition, which are added
     seconds: dict[str, float]
 
-    @contextmanager
-    def timed(self, name: str) -> Iterator[None]:
-        """The seconds of the block are kept under this name."""
-        began = time.monotonic()
-        yield
-        self.seconds[name] = time.monotonic() - began
-
 
 @dataclass(frozen=True)
 class Composition:
@@ -110,9 +112,9 @@ def compose(
 
     `checkpoints` and `watch` are stage 2's. Without rays there is nothing to register, refine or match.
     """
-    subject, rays, timed = capture.subject, parts.rays, parts.timed
+    subject, rays, seconds = capture.subject, parts.rays, parts.seconds
     head, head_from_field = parts.head, np.eye(4)
-    with timed("registration"):
+    with timed(seconds, "registration"):
         lights = light_facts(capture, parts.lights) if parts.lights else {}
         seen = seen_tensors(seen_lights_from_json("light_seen", lights["light_seen"])) if lights else None
         if rays is not None:
@@ -123,7 +125,7 @@ def compose(
         fused = FusedField(parts.fields, part_boxes(subject), inverse)
         fused.seen = seen
     if preset.open_eyes and len(parts.fields) > 1:
-        with timed("eyes"):
+        with timed(seconds, "eyes"):
             closed = fused.field(PARTS.index("head")).template.cpu()
             filmed = filmed_eyes(subject, closed, capture.videos["head"], head.canonical_from_head)
         fused.eyes = filmed.eyes
@@ -135,7 +137,7 @@ def compose(
     if rays is not None and preset.union.iterations:
         say(f"stage 2: the body meets the parts (Eq. 7, 13), {preset.union.iterations} steps")
         parts.fields[0].light = parts.lights["body"].tensors(torch.device(device)) if parts.lights else None
-        with timed("union"):
+        with timed(seconds, "union"):
             union = train_union(fused, subject, rays, preset, seed=parts.seed, checkpoints=checkpoints, watch=watch)
         parts.fields[0].light = None
         facts["union"] = union
@@ -143,17 +145,17 @@ def compose(
             before = union["step_mm_before"][name]
             say(f"{name}: body {before:.2f} -> {step:.2f} mm from the part's surface in the overlap")
 
-    with timed("surface"):
+    with timed(seconds, "surface"):
         shown = displayed_surface(fused, subject, preset.surface_cells)
     say(f"surface: {len(shown.vertices)} vertices, {len(shown.faces)} faces")
-    with timed("views"):
+    with timed(seconds, "views"):
         points = torch.as_tensor(shown.vertices, dtype=torch.float32)
         shares = eq9_shares(points, part_boxes(subject)).numpy()
         tables = [statistics(s) for s in view_sums(capture, shown, shares, head.canonical_from_head)]
         surface = with_views(shown, shares, tables)
     say(f"view directions (Eq. 14): {float((surface.view_count > 0).mean()):.1%} of the vertices seen")
     if rays is not None:
-        with timed("appearance"):
+        with timed(seconds, "appearance"):
             steps = code_steps(preset, parts.seed)
             facts["appearance"] = match_appearances(fused, rays, surface.vertices, tables, steps, say)
     fused.cpu()
@@ -299,9 +301,9 @@ def view_sums(
 def with_views(
     shown: DisplayedSurface, shares: Float[Array, "vertices 4"], tables: Sequence[ViewStatistics]
 ) -> Surface:
-    """The surface with the parts' statistics fused by their shares; unseen vertices copy their neighbours' mean."""
+    """The surface with the parts' statistics fused by their shares; unseen vertices take their neighbours' mean."""
     fused = fused_statistics(tables, shares)
-    filled = fill_from_neighbours(fused.mean, fused.count > 0, shown.faces)  # their count stays 0
+    filled = fill_reached(fused.mean, fused.count > 0, shown.faces)  # their count stays 0
     return Surface(shown.vertices, shown.faces, shown.normals, shares.argmax(1), shown.skin, fused.count, filled,
                    fused.covariance, shown.layer)  # fmt: skip
 

@@ -108,6 +108,14 @@ def positional_encoding(x: Float[Tensor, "n c"], frequencies: int) -> Float[Tens
     return torch.cat([x, angles.sin(), angles.cos()], -1)
 
 
+def trilinear(grid: Float[Tensor, "c x y z"], unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n c"]:
+    """Values between the nodes of a grid over the box [-1, 1]; beyond it the border repeats."""
+    # grid_sample counts its last axis first
+    at = unit.flip(-1)[None, :, None, None]
+    sampled = nn.functional.grid_sample(grid[None], at, padding_mode="border", align_corners=True)
+    return sampled[0, :, :, 0, 0].T
+
+
 class Displacement(nn.Module):
     """T_nr(x, code): what skinning or the rigid motion leaves over, at most `reach` metres (Eq. 3, 4).
 
@@ -153,7 +161,4 @@ class Displacement(nn.Module):
 
     def mean(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Mean over all frames' codes, from the grid that `settle` stored; zero before."""
-        # grid_sample counts its last axis first
-        at = unit.flip(-1)[None, :, None, None]
-        sampled = torch.nn.functional.grid_sample(self.mean_grid[None], at, padding_mode="border", align_corners=True)
-        return sampled[0, :, :, 0, 0].T
+        return trilinear(self.mean_grid, unit)

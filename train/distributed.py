@@ -57,11 +57,7 @@ class Ranks:
             return loss, stop
         missing = [p.grad is None for p in parameters]
         flat = [p.new_zeros(p.numel()) if p.grad is None else weight * p.grad.reshape(-1) for p in parameters]
-        flat += [
-            1.0 - torch.tensor(missing).to(flat[0]),
-            (weight * loss).view(1),
-            loss.new_full((1,), float(stop)),
-        ]
+        flat += [1.0 - torch.tensor(missing).to(flat[0]), (weight * loss).view(1), loss.new_full((1,), float(stop))]
         summed = torch.cat(flat)
         torch.distributed.all_reduce(summed)
         *pieces, has, loss, stops = summed.split([len(piece) for piece in flat])

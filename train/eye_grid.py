@@ -181,9 +181,8 @@ def template_distance(
     low, high = points[rows].min(0) - far, points[rows].max(0) + far
     corners = subject.vertices[subject.faces]
     faces = subject.faces[((corners.max(1) > low) & (corners.min(1) < high)).all(1)]
-    face, barycentric = lattice_samples(subject.vertices, faces, np.full(len(faces), 0.5 * cell))
-    samples = np.einsum("sk,skc->sc", barycentric, subject.vertices[faces[face]])
-    normals = face_normals(subject.vertices, faces)[face]
+    found = lattice_samples(subject.vertices, faces, np.full(len(faces), 0.5 * cell))
+    samples, normals = found.on(subject.vertices, faces), face_normals(subject.vertices, faces)[found.face]
     # deep in a ball hundreds of samples are equally far: none is looked for beyond SKIN
     length, nearest = KDTree(samples).query(points[rows], distance_upper_bound=SKIN)
     found = np.isfinite(length)

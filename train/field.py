@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from train.light import LightTensors
-from train.networks import PartNetworks
+from train.networks import ColorInputs, PartNetworks
 from train.pose_correction import PoseCorrection
 from train.template_grid import TemplateGrid
 
@@ -43,11 +43,7 @@ class PartField(nn.Module):
     light: LightTensors | None
 
     def __init__(
-        self,
-        template: TemplateGrid,
-        low: Float[Tensor, "3"],
-        high: Float[Tensor, "3"],
-        networks: PartNetworks,
+        self, template: TemplateGrid, low: Float[Tensor, "3"], high: Float[Tensor, "3"], networks: PartNetworks
     ):
         super().__init__()
         self.template = template
@@ -106,7 +102,7 @@ class PartField(nn.Module):
         code: Float[Tensor, "n l"],
     ) -> Float[Tensor, "n 3"]:
         """F_c, Eq. 2: sRGB in [0, 1] seen along unit `directions` (away from the camera), all canonical."""
-        return self.color_network(self.unit(points), feature, normals, directions, code)
+        return self.color_network(ColorInputs(self.unit(points), feature, normals, directions, code))
 
     def codes(self, frame: Int[Tensor, "n"]) -> Float[Tensor, "n l"]:
         """Appearance codes of frames; frame -1 is the reference."""

@@ -14,14 +14,7 @@ from capture.template.surface import SurfaceCloud
 from train.deform import canonical_directions, posed_directions
 from train.field import FieldSample, PartField, unit_normals
 from train.light import LightTensors
-from train.loss import (
-    color_loss,
-    color_norm_loss,
-    displacement_loss,
-    eikonal_loss,
-    mask_logit_loss,
-    mask_loss,
-)
+from train.loss import color_loss, color_norm_loss, displacement_loss, eikonal_loss, mask_logit_loss, mask_loss
 from train.preset import PartPreset, Preset
 from train.rays import TrainingRays
 from train.render import crossing, density_weights, jittered, section_lengths, section_weights
@@ -118,19 +111,23 @@ class Batch(NamedTuple):
     rho: float = 50.0
 
 
-def lit(
+def section_colors(
     field: "FieldFunctions", rays: RayTensors, chosen: Int[Tensor, "b"], section: Int[Tensor, "b k"],
-    color: Float[Tensor, "b k 3"], points: Float[Tensor, "n 3"], gradient: Float[Tensor, "n 3"],
+    points: Float[Tensor, "n 3"], sample: FieldSample, gradient: Float[Tensor, "n 3"],
 ) -> Float[Tensor, "b k 3"]:  # fmt: skip
-    """What sections show of F_c: F_c itself, or, where the light is a factor, albedo lit at the posed normal.
+    """What sections show at their points (b k of them), F_s and its gradient given: F_c itself, or, where the light is
+    a factor, albedo lit at the posed normal.
 
-    The normal is fixed here: how bright a pixel is moves no surface, which masks and texture place better.
+    The lit normal is fixed here: how bright a pixel is moves no surface, which masks and texture place better.
     """
+    frame, row = rays.frame[chosen], rays.row[chosen].gather(1, section)
+    directions = directions_at(rays, chosen, row).reshape(-1, 3)
+    of_section = frame.repeat_interleave(section.shape[1])
+    color = field.color(points, sample.feature, unit_normals(gradient), directions, of_section).view(*section.shape, 3)
     if field.light is None or field.light_normal is None:
         return color
-    frame, normals = rays.frame[chosen], field.light_normal(points, gradient)
+    normals = field.light_normal(points, gradient)
     if rays.bones is not None:
-        row = rays.row[chosen].gather(1, section)
         quaternions = rays.bones[frame[:, None, None], rays.joints[row]]
         normals = posed_directions(normals, rays.weights[row].reshape(-1, 4), quaternions.reshape(-1, 4, 4))
     return field.light.lit(color, normals.view(*section.shape, 3), -rays.direction[chosen], frame)
@@ -230,10 +227,7 @@ def render_rays(
     places = crossing(distance.detach(), ends)
     points = places.gather(1, section[..., None].expand(-1, -1, 3)).reshape(-1, 3)
     sample, gradient = field.gradient(points, create_graph=create_graph)
-    directions = directions_at(rays, chosen, rays.row[chosen].gather(1, section)).reshape(-1, 3)
-    of_section = frame.repeat_interleave(section.shape[1])
-    color = field.color(points, sample.feature, unit_normals(gradient), directions, of_section)
-    color = lit(field, rays, chosen, section, color.view(size, -1, 3), points, gradient)
+    color = section_colors(field, rays, chosen, section, points, sample, gradient)
     share = top / (top.sum(1, keepdim=True) + 1e-8)
     shown = (share[..., None] * color).sum(1) * opacity[:, None]
     return Rendered(shown, rendered.log_transmittance, share, ends, distance, points, sample.distance, gradient,
@@ -252,11 +246,8 @@ def _render_density(
     sample, gradient = field.gradient(flat, create_graph=create_graph, attached=True)
     distance = sample.distance.view(size, count)
     rendered = density_weights(distance, lengths, field.density_width())
-    directions = directions_at(rays, chosen, rays.row[chosen][:, :count]).reshape(-1, 3)
-    of_section = rays.frame[chosen].repeat_interleave(count)
-    color = field.color(flat, sample.feature, unit_normals(gradient), directions, of_section).view(size, count, 3)
     sections = torch.arange(count, device=points.device).expand(size, -1)
-    color = lit(field, rays, chosen, sections, color, flat, gradient)
+    color = section_colors(field, rays, chosen, sections, flat, sample, gradient)
     shown = (rendered.weights[..., None] * color).sum(1)
     share = rendered.weights / (rendered.weights.sum(1, keepdim=True) + 1e-8)
     return Rendered(shown, rendered.log_transmittance, share, points, distance, flat, sample.distance, gradient,
@@ -284,6 +275,7 @@ def losses(
         loss = loss + L_extra
 
     def report() -> StepReport:
+        """The step's numbers, computed where they are asked for."""
         on = mask > 0.5
         error = (drawn.color - observed)[on].square().mean() if on.any() else torch.tensor(1.0)
         template = field.template.sample(drawn.shaded.detach())[0]

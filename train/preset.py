@@ -147,14 +147,13 @@ _DEMO_BODY = PartPreset(
     displacement_weight=0.01,
     networks=TriPlaneNetworks(),
 )
-_DEMO_HEAD = PartPreset(
+_DEMO_HEAD = replace(
+    _DEMO_BODY,
     iterations=2000,
     cell=0.003,
     spacing=0.003,
     band=Band(outside=0.035, inside=0.02, step=0.006),
     beta=(0.008, 0.001),
-    displacement_reach=0.03,
-    displacement_weight=0.01,
     networks=TriPlaneNetworks(color_size=320),
 )
 # rays between fingers may follow the wrong one: few of them lie beside the person, or they carve the fingers' sides

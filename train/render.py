@@ -61,9 +61,7 @@ def laplace_density(distance: Float[Tensor, "*batch"], beta: float | Float[Tenso
 
 
 def density_weights(
-    distance: Float[Tensor, "rays samples"],
-    lengths: Float[Tensor, "rays samples"],
-    beta: float | Float[Tensor, ""],
+    distance: Float[Tensor, "rays samples"], lengths: Float[Tensor, "rays samples"], beta: float | Float[Tensor, ""]
 ) -> Weights:
     """VolSDF weights of samples, each standing for the section of length `lengths` metres that begins there.
 

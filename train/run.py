@@ -86,14 +86,7 @@ def build_field(
 
 def write_part(path: Path, field: PartField) -> None:
     """One part's weights, readable with weights_only."""
-    torch.save(
-        {
-            "state": field.state_dict(),
-            "cell": field.template.cell,
-            "frames": len(field.appearance.weight),
-        },
-        path,
-    )
+    torch.save({"state": field.state_dict(), "cell": field.template.cell, "frames": len(field.appearance.weight)}, path)
 
 
 def read_part(path: Path, subject: CaptureSubject, index: int, preset: PartPreset) -> PartField:
@@ -151,31 +144,19 @@ def write_codes(path: Path, fields: dict[str, PartField]) -> None:
 
 def write_surface(path: Path, surface: Surface, per_part: list[ViewStatistics]) -> None:
     """surface.npz: the mesh, the fused view statistics, and each part's own beside them."""
-    tables = {}
-    for name, table in zip(PARTS, per_part):
-        tables[f"{name}_view_count"] = table.count.astype(np.float32)
-        tables[f"{name}_view_mean"] = table.mean.astype(np.float32)
-        tables[f"{name}_view_covariance"] = table.covariance.astype(np.float32)
+    fields = vars(surface) | {f"skin_{name}": values for name, values in surface.skin._asdict().items()}
+    arrays = {name: fields[name].astype(dtype) for name, (dtype, _) in SURFACE.items()}
+    for part, table in zip(PARTS, per_part):
+        arrays |= {f"{part}_view_{name}": values.astype("f4") for name, values in table._asdict().items()}
     with open(path, "wb") as file:
-        np.savez(
-            file,
-            vertices=surface.vertices.astype(np.float32),
-            faces=surface.faces.astype(np.uint32),
-            normals=surface.normals.astype(np.float32),
-            part=surface.part.astype(np.uint8),
-            skin_joints=surface.skin.joints.astype(np.uint8),
-            skin_weights=surface.skin.weights.astype(np.float32),
-            view_count=surface.view_count.astype(np.float32),
-            view_mean=surface.view_mean.astype(np.float32),
-            view_covariance=surface.view_covariance.astype(np.float32),
-            layer=surface.layer.astype(np.uint8),
-            **tables,
-        )
+        np.savez(file, **arrays)
 
 
+# arrays of surface.npz: type, and numbers a row
 SURFACE = {
-    "vertices": (3,), "faces": (3,), "normals": (3,), "part": (), "skin_joints": (4,), "skin_weights": (4,),
-    "view_count": (), "view_mean": (3,), "view_covariance": (6,), "layer": (),
+    "vertices": ("f4", (3,)), "faces": ("u4", (3,)), "normals": ("f4", (3,)), "part": ("u1", ()),
+    "skin_joints": ("u1", (4,)), "skin_weights": ("f4", (4,)), "view_count": ("f4", ()), "view_mean": ("f4", (3,)),
+    "view_covariance": ("f4", (6,)), "layer": ("u1", ()),
 }  # fmt: skip
 
 
@@ -187,7 +168,7 @@ def read_surface(path: Path) -> Surface:
     """
     fields = read_npz(path, "a surface", SURFACE)
     count = len(field_of(path, fields, "vertices", (None, 3)))
-    for name, columns in SURFACE.items():
+    for name, (_, columns) in SURFACE.items():
         field_of(path, fields, name, (None if name == "faces" else count, *columns))
     if fields["faces"].min(initial=0) < 0 or fields["faces"].max(initial=0) >= max(count, 1):
         raise AssetError(f"{path}: faces should index {count} vertices")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from command.errors import AssetError
+from files.input_file import read_json_object
 from files.whole import check_folder, write_json
 
 FILE = "session.json"
@@ -108,7 +109,7 @@ def open_session(
     interrupted = any(partial.rglob("*.ckpt"))
     finished = (out / "run.json").exists()
     if resume and interrupted:
-        before = _read(partial / FILE)
+        before = read_json_object(partial / FILE, "the settings of an interrupted training")
         other = [key for key in sorted({*before, *settings}) if before.get(key) != settings.get(key)]
         if other:
             raise AssetError(
@@ -133,16 +134,6 @@ def open_session(
     partial.mkdir()
     write_json(partial / FILE, settings)
     return Session(out, partial, False)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise AssetError(f"{path}: expected the settings of an interrupted training, found: {error}") from None
-    if not isinstance(content, dict):
-        raise AssetError(f"{path}: expected a JSON object, found {type(content).__name__}")
-    return content
 
 
 def _listed(settings: dict[str, Any], keys: list[str]) -> str:

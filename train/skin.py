@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from capture.folder import CaptureSubject
 from capture.template.surface import blend_skin, visible_faces
-from geometry.closest import closest_on_triangles
+from geometry.closest import Match, best_candidate
 from geometry.harmonic import anchored, fill_harmonic
 from geometry.mesh import vertex_normals
 from geometry.sample import lattice_samples
@@ -31,34 +31,22 @@ class CanonicalSkin:
         self.vertices, self.faces, self.skin = subject.vertices, subject.faces[visible], subject.skin
         self.normals = vertex_normals(subject.vertices, subject.faces)
         on_hand = (subject.part[self.faces] >= 2).any(1)
-        self.face, barycentric = lattice_samples(self.vertices, self.faces, np.where(on_hand, 0.0015, 0.006))
-        self.tree = KDTree(np.einsum("sk,skc->sc", barycentric, self.vertices[self.faces[self.face]]))
+        samples = lattice_samples(self.vertices, self.faces, np.where(on_hand, 0.0015, 0.006))
+        self.face, self.tree = samples.face, KDTree(samples.on(self.vertices, self.faces))
 
     def closest(
         self, points: Float[Array, "n 3"], normals: Float[Array, "n 3"] | None = None, candidates: int = 6
-    ) -> tuple[Int[Array, "n"], Float[Array, "n 3"], Float[Array, "n"], Bool[Array, "n"]]:
-        """Closest visible triangle: face, barycentric coordinates, distance, and whether the normals agree (dot > .5).
-
-        Among the triangles of the nearest samples the closest that agrees is taken, else the closest of all.
-        """
+    ) -> Match:
+        """Of the triangles of the nearest samples the closest whose normals agree (dot > .5), else the closest."""
         rows = np.asarray(self.tree.query(points, k=candidates, workers=-1)[1])
-        best_face = np.zeros(len(points), int)
-        best_weights = np.zeros((len(points), 3))
-        shortest = np.full(len(points), np.inf)
-        agreeing = np.zeros(len(points), bool)
-        for k in range(candidates):
-            face = self.face[rows[:, k]]
-            corners = self.faces[face]
-            nearest, weights = closest_on_triangles(points, self.vertices[corners])
-            gap = np.linalg.norm(points - nearest, axis=1)
-            agrees = np.ones(len(points), bool)
-            if normals is not None:
-                normal = np.einsum("nk,nkc->nc", weights, self.normals[corners])
-                agrees = (normal * normals).sum(1) > 0.5 * np.linalg.norm(normal, axis=1)
-            take = (agrees & ~agreeing) | ((agrees == agreeing) & (gap < shortest))
-            best_face[take], best_weights[take] = face[take], weights[take]
-            shortest[take], agreeing[take] = gap[take], agrees[take]
-        return best_face, best_weights, shortest, agreeing
+
+        def agrees(face: Int[Array, "n"], weights: Float[Array, "n 3"]) -> Bool[Array, "n"]:
+            if normals is None:
+                return np.ones(len(face), bool)
+            normal = np.einsum("nk,nkc->nc", weights, self.normals[self.faces[face]])
+            return (normal * normals).sum(1) > 0.5 * np.linalg.norm(normal, axis=1)
+
+        return best_candidate(points, self.face[rows], self.vertices[self.faces], agrees)
 
     def lookup(
         self, points: Float[Array, "n 3"], normals: Float[Array, "n 3"] | None = None

@@ -5,8 +5,8 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
@@ -31,13 +31,7 @@ from command.settings import settings_json
 from files.whole import whole_folder
 from train import run as run_folder
 from train.command import TrainOptions
-from train.compose import (
-    HeadPlacement,
-    TrainedParts,
-    compose,
-    consistent_placement,
-    landmark_placement,
-)
+from train.compose import HeadPlacement, TrainedParts, compose, consistent_placement, landmark_placement
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
 from train.light import VideoLight, video_light
@@ -96,13 +90,6 @@ class Training:
     refined: dict[str, Any] = field(default_factory=dict)
     # seconds of what is done before the parts are trained, by name
     seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def timed(self, name: str) -> Iterator[None]:
-        """Seconds of the block go to run.json under this name."""
-        began = time.monotonic()
-        yield
-        self.seconds[name] = time.monotonic() - began
 
     def from_writer(self, make: Callable[[], T]) -> T:
         """What `make` gives on the rank that writes, for all ranks."""
@@ -168,7 +155,7 @@ def begin(
 
 def prepared(training: Training) -> Training:
     """The training with refined poses and masks, the head's place, its own template and its light."""
-    with training.timed("poses and masks"):
+    with timed(training.seconds, "poses and masks"):
         refined = _refine(training)
     # frames that were left out count nowhere from here on
     capture = with_refined(training.capture, training.session.partial)
@@ -288,7 +275,7 @@ def _with_consistent_head(training: Training) -> Training:
         return training
 
     def placed() -> HeadPlacement:
-        with training.timed("head by its own video"):
+        with timed(training.seconds, "head by its own video"):
             return consistent_placement(training.capture, training.head.landmarks, training.say)
 
     return replace(training, head=training.from_writer(placed))
@@ -299,7 +286,7 @@ def _with_own_template(training: Training) -> Training:
     run folder.
     """
     capture, partial, hair = training.capture, training.session.partial, training.preset.hair
-    with training.timed("hair carved"):
+    with timed(training.seconds, "hair carved"):
         subject = with_hair(
             with_rigid_head(capture.subject), capture, training.head.canonical_from_head,
             hollows=hair.hollows, layers=hair.layers,
@@ -309,7 +296,7 @@ def _with_own_template(training: Training) -> Training:
     if added:
         training.say(f"hair stands off the template: {added} vertices carved from the masks join it")
     if training.preset.clothes:
-        with training.timed("clothes carved"):
+        with timed(training.seconds, "clothes carved"):
             dressed = _dressed(subject, capture, training.say)
         if dressed is not subject:
             added = len(dressed.rest) - len(subject.rest)
@@ -337,7 +324,7 @@ def _with_light(training: Training) -> Training:
         return training
 
     def fitted() -> dict[str, CaptureLight]:
-        with training.timed("light"):
+        with timed(training.seconds, "light"):
             found = fit_capture_light(training.capture, seed=training.options.seed)
         training.say(f"{light_line(found)}, {training.seconds['light']:.0f} s")
         return found.lights
@@ -353,10 +340,7 @@ def _refine(training: Training) -> dict:
         # each worker reads its own
         let_go(training.capture.videos)
         board = ProgressBoard(dict.fromkeys(jobs, ROUNDS), workers)
-        try:
-            return run_jobs(jobs, work, board, workers) if jobs else {}
-        finally:
-            board.close()
+        return run_jobs(jobs, work, board, workers) if jobs else {}
 
     def refined() -> dict:
         choice, capture = training.options.refine_poses, training.capture
@@ -393,10 +377,7 @@ def train_parts(training: Training, jobs: Sequence[PartJob]) -> dict[str, dict]:
     let_go(training.capture.videos)
     totals = {name: job.settings.iterations for name, job in by_name.items()}
     board = ProgressBoard(totals, workers, after=AFTER, stream=None if training.ranks.writes else io.StringIO())
-    try:
-        return run_jobs(by_name, train_part, board, workers)
-    finally:
-        board.close()
+    return run_jobs(by_name, train_part, board, workers)
 
 
 def _say(text: str) -> None:

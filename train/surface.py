@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
-from scipy import sparse
+from jaxtyping import Float, Int
 
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
@@ -14,7 +13,7 @@ from capture.template.layers import HAIR, LEAST_HAIR, hair_layers
 from capture.template.parts import Part
 from capture.template.solid import solid_inside
 from geometry.isosurface import Detail, zero_set_mesh
-from geometry.mesh import TriangleMesh, concatenated, half_edges, largest_component, separate_pieces
+from geometry.mesh import TriangleMesh, concatenated, largest_component, separate_pieces
 from train.fused import FusedField
 
 Array = np.ndarray
@@ -123,25 +122,3 @@ def _interpolated(values: Array, old: Array, new: Array, axis: int) -> Array:
     f = ((new - old[right - 1]) / (old[right] - old[right - 1])).astype(np.float32)
     f = f.reshape([-1 if i == axis else 1 for i in range(3)])
     return np.take(values, right - 1, axis) * (1 - f) + np.take(values, right, axis) * f
-
-
-def fill_from_neighbours(
-    values: Float[Array, "vertices c"], known: Bool[Array, "vertices"], faces: Int[Array, "faces 3"], rounds: int = 2000
-) -> Float[Array, "vertices c"]:
-    """Values of unknown vertices copied inwards from known ones, ring by ring over the edges (mean of the ring)."""
-    edges = half_edges(faces)
-    count = len(values)
-    ones = np.ones(len(edges))
-    graph = sparse.csr_matrix((ones, (edges[:, 0], edges[:, 1])), (count, count))
-    graph = graph + graph.T
-    out, known = np.where(known[:, None], values, 0.0), known.copy()
-    for _ in range(rounds):
-        if known.all():
-            break
-        total, number = graph @ out, graph @ known.astype(float)
-        ring = ~known & (number > 0)
-        if not ring.any():
-            break
-        out[ring] = total[ring] / number[ring, None]
-        known |= ring
-    return out

@@ -66,9 +66,9 @@ def overlap_surface(
     out = []
     for index in range(1, len(fused.fields)):
         near = faces[in_overlap(shares, index).numpy()]
-        face, barycentric = lattice_samples(subject.vertices, near, np.full(len(near), spacing))
-        seeds = np.einsum("sk,skc->sc", barycentric, subject.vertices[near[face]])
-        level = zero_level(fused, index, seeds, face_normals(subject.vertices, near)[face])
+        seeds = lattice_samples(subject.vertices, near, np.full(len(near), spacing))
+        normals = face_normals(subject.vertices, near)[seeds.face]
+        level = zero_level(fused, index, seeds.on(subject.vertices, near), normals)
         points = torch.as_tensor(level.points[level.arrived], dtype=torch.float32, device=fused.device)
         points = points[in_overlap(fused.shares(points), index)]
         out.append(points[:: -(-len(points) // most) or 1])
@@ -91,6 +91,7 @@ def geometry_loss(
         places = [fused.local(0, points)[0] for points in surfaces]
 
     def loss(points: Tensor, distance: Tensor) -> Tensor:
+        """L_g at points where the body's distance is `distance`."""
         with torch.no_grad():
             shown = points - body.displacement.mean(body.unit(points))
             shares = fused.shares(shown)

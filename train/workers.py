@@ -24,13 +24,18 @@ Work = Callable[[T, Reporter], dict]
 
 
 def run_jobs(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: int) -> dict[str, dict]:
-    """work(job) of every job by name, at most `workers` at a time; with one worker in this process.
+    """work(job) of every job by name, at most `workers` at a time; with one worker in this process. Closes the board.
 
     A signal, or the failure of one job, stops the others where they can save. An interrupted run raises
     `Stopped` when all of them have.
     """
-    if workers > 1:
-        return _in_processes(jobs, work, board, workers)
+    try:
+        return (_in_processes if workers > 1 else _in_turn)(jobs, work, board, workers)
+    finally:
+        board.close()
+
+
+def _in_turn(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: int) -> dict[str, dict]:
     results = {}
     for name, job in jobs.items():
         board.begin(name)

@@ -22,7 +22,7 @@ from scipy.sparse import csr_matrix, diags
 from scipy.spatial import KDTree
 
 from geometry.least_squares import factorised
-from geometry.mesh import TriangleMesh
+from geometry.mesh import TriangleMesh, blended, half_edges
 
 Array = np.ndarray
 
@@ -65,7 +65,7 @@ def filled_colors(
         chosen = np.flatnonzero(share[:, number] >= ENOUGH)
         at_vertex = _spread_on_mesh(surface, color, np.flatnonzero(seen & (material == number)), stiffness)
         own = unseen[chosen]
-        found = (surface.weight[own][:, :, None] * at_vertex[surface.corners[own]]).sum(1)
+        found = blended(at_vertex, surface.corners[own], surface.weight[own])
         cost = (np.square(color[own] - found).sum(1) + NEAR**2) / share[chosen, number]
         better = cost < least[chosen]
         least[chosen[better]], nearest[chosen[better]] = cost[better], found[better]
@@ -150,8 +150,7 @@ def _spread_on_mesh(
 
 def _stiffness(mesh: TriangleMesh) -> csr_matrix:
     """Graph Laplacian with edges as stiff as they are short, the mean one 1."""
-    faces = np.asarray(mesh.faces)
-    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    ends = np.sort(half_edges(mesh.faces), axis=1)
     pairs = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
     length = np.linalg.norm(mesh.vertices[pairs[:, 0]] - mesh.vertices[pairs[:, 1]], axis=1)
     stiff = np.clip(np.median(length) / np.maximum(length, 1e-9), 0.1, 10)

@@ -99,9 +99,7 @@ def frame_shift(
 
 
 def moved_colors(
-    frame: Float[Array, "height width 3"],
-    known: Bool[Array, "height width"],
-    shift: Float[Array, "height width 2"],
+    frame: Float[Array, "height width 3"], known: Bool[Array, "height width"], shift: Float[Array, "height width 2"]
 ) -> tuple[Float[Array, "height width 3"], Bool[Array, "height width"]]:
     """The frame's colors beside each pixel, and where all of what they are read from is known."""
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in known.shape), indexing="ij"), -1) + shift

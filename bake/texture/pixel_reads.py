@@ -16,6 +16,7 @@ from scipy.sparse import csr_matrix
 from avatar.camera import Camera, pixel_rays
 from avatar.gltf.avatar_file import Level
 from avatar.light import CaptureLight
+from avatar.rotation import unit_or_zero
 from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from avatar.skinning import SkinWeights, blended_transforms, dense_weights
 from bake.cone import ViewCone, clamped_tangent
@@ -25,7 +26,7 @@ from bake.network import Distilled, SurfacePoints
 from bake.texture.texels import TexelMap, rasterise_charts
 from capture.folder import PartVideo
 from geometry.cells import nearest_marked
-from geometry.mesh import component_labels
+from geometry.mesh import blended, component_labels
 from player.draw.raster import Fragments, Rasteriser
 
 Array = np.ndarray
@@ -108,16 +109,6 @@ class Place(NamedTuple):
         return blended(values, self.corners, self.weight)
 
 
-def blended(
-    values: Float[Array, "vertices channels"], corners: Integer[Array, "*n 3"], weight: Float[Array, "*n 3"]
-) -> Float[Array, "*n channels"]:
-    """Barycentric interpolation. Term by term: a sum over an axis of three takes several times as long."""
-    result = weight[..., 0, None] * values[corners[..., 0]]
-    for i in (1, 2):
-        result += weight[..., i, None] * values[corners[..., i]]
-    return result
-
-
 class PosedFrame(NamedTuple):
     """One frame with the person posed as in it."""
 
@@ -131,6 +122,13 @@ class PosedFrame(NamedTuple):
     def cosine(self) -> Float[Array, "corners"]:
         """Between normal and direction to the camera."""
         return (self.normals * self.towards).sum(1)
+
+
+class Belief(NamedTuple):
+    """How much the pixels of a video count."""
+
+    importance: Float[Array, "corners"]  # [0, 1], about each vertex
+    power: int  # that of the cosine between normal and view
 
 
 class FrameLight(NamedTuple):
@@ -214,14 +212,11 @@ def posed_frames(mesh: AtlasMesh, video: PartVideo, head_from_canonical: Float[A
             transforms = skin_transforms(video.axis_angle[frame], mesh.joints, video.root[frame])
             M = blended_transforms(mesh.skin, transforms)
             vertices = np.einsum("vij,vj->vi", M[:, :3, :3], mesh.positions) + M[:, :3, 3]
-            normals = np.einsum("vij,vj->vi", M[:, :3, :3], mesh.normals)
-            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+            normals = unit_or_zero(np.einsum("vij,vj->vi", M[:, :3, :3], mesh.normals))
             turns = M[:, :3, :3]
-        towards = camera.eye - vertices
-        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
+        towards = unit_or_zero(camera.eye - vertices)
         along = -towards if turns is None else -np.einsum("vji,vj->vi", turns, towards)
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-        yield PosedFrame(vertices, normals, towards, along, camera)
+        yield PosedFrame(vertices, normals, towards, unit_or_zero(along), camera)
 
 
 def frame_light(
@@ -237,11 +232,7 @@ def frame_light(
     return FrameLight(light, found, mesh.light)
 
 
-def as_base_color(
-    color: Float[Array, "pixels 3"],
-    lit: FrameLight,
-    place: Place,
-) -> Float[Array, "pixels 3"]:
+def as_base_color(color: Float[Array, "pixels 3"], lit: FrameLight, place: Place) -> Float[Array, "pixels 3"]:
     """Colors of pixels as the light of the base color would show them."""
     (shading, highlight), (base, glow) = place.of(lit.frame).T, place.of(lit.base).T
     return lit.light.shown(lit.light.albedo(color, shading, highlight), base, glow)
@@ -284,14 +275,14 @@ def video_reads(
 
     `light` is divided out of them, and what they show because of where they were seen from (`change`) taken off.
     """
-    importance = vertex_importance(mesh, video.part)
+    belief = Belief(vertex_importance(mesh, video.part), COSINE_POWER[video.part])
     turn = head_from_canonical[:3, :3] / np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
     world = turn if video.axis_angle is None else np.eye(3)
     for number, frame in enumerate(posed_frames(mesh, video, head_from_canonical)):
         sure = video.masks[number] if video.unsure is None else video.masks[number] & ~video.unsure[number]
         drawn = drawn_finer(rasteriser, mesh, frame, samples)
         lit = frame_light(mesh, frame, light, world)
-        own = frame_reads(mesh, frame, drawn, video.images[number], sure, importance, COSINE_POWER[video.part], lit)
+        own = frame_reads(mesh, frame, drawn, video.images[number], sure, belief, lit)
         if change is not None:
             shown = own.place.of(change.seen_along(frame.along))
             own = own._replace(color=np.clip(own.color - shown, 0, 1).astype(np.float32))
@@ -327,8 +318,7 @@ def frame_reads(
     drawn: Fragments,
     image: UInt8[Array, "height width 3"],
     sure: Bool[Array, "height width"],
-    importance: Float[Array, "corners"],
-    power: int,
+    belief: Belief,
     lit: FrameLight | None = None,
 ) -> PixelReads:
     """The pixels of one frame that lie on the person as a whole; `sure` are those of its mask."""
@@ -342,10 +332,10 @@ def frame_reads(
     face = drawn.face.reshape(-1)[place]
     weight = drawn.barycentric.reshape(-1, 3)[place]
     corners = mesh.faces[face]
-    values = np.stack([frame.cosine, importance], 1).astype(np.float32)
+    values = np.stack([frame.cosine, belief.importance], 1).astype(np.float32)
     cosine, important = blended(values, corners, weight).mean(1).T
     visible = important * (cosine > GRAZING) * np.where(_near_rim(frame, drawn, hit, sure)[whole], RIM, 1.0)
-    counts = visible * cosine**power
+    counts = visible * cosine**belief.power
     if lit is not None:
         # a burnt pixel may have been brighter, and what no light reached shows no color
         known = (image[rows, columns].max(1) < BURNT) & (blended(lit.frame, corners, weight).mean(1)[:, 0] > DARK)

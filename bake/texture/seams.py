@@ -11,6 +11,8 @@ from avatar.texture import sample_texture
 from bake.texture.texels import TexelMap
 from geometry.mesh import half_edges
 
+Array = np.ndarray
+
 # weight of keeping a texel as it was sampled: one that shows surface, one that only bilinear filtering reads
 # beside it, and one of the gutter, which nothing but coarser mips reads
 KEEP_INSIDE, KEEP_SKIRT, KEEP_GUTTER = 20.0, 0.1, 0.004
@@ -29,15 +31,13 @@ DENSE = 3
 class ChartEdges(NamedTuple):
     """Edges of the mesh that lie on the border of a chart, as both charts see them."""
 
-    left: Integer[np.ndarray, "edges 2"]  # atlas vertices at its two ends
+    left: Integer[Array, "edges 2"]  # atlas vertices at its two ends
     # the same two ends in the other chart
-    right: Integer[np.ndarray, "edges 2"]
+    right: Integer[Array, "edges 2"]
 
 
 def chart_edges(
-    uv: Float[np.ndarray, "corners 2"],
-    faces: Integer[np.ndarray, "faces 3"],
-    source: Integer[np.ndarray, "corners"],
+    uv: Float[Array, "corners 2"], faces: Integer[Array, "faces 3"], source: Integer[Array, "corners"]
 ) -> ChartEdges:
     """Every edge whose two triangles lie in different charts, or in one chart at different places.
 
@@ -59,12 +59,8 @@ def chart_edges(
 
 
 def seam_steps(
-    uv: Float[np.ndarray, "corners 2"],
-    edges: ChartEdges,
-    image: UInt8[np.ndarray, "height width channels"],
-    *,
-    samples: int = 5,
-) -> Float[np.ndarray, "steps"]:
+    uv: Float[Array, "corners 2"], edges: ChartEdges, image: UInt8[Array, "height width channels"], *, samples: int = 5
+) -> Float[Array, "steps"]:
     """Step (bytes, worst channel) between the two sides of every chart edge, at points along it, in one mip."""
     if len(edges.left) == 0:
         return np.zeros(0)
@@ -76,11 +72,11 @@ def seam_steps(
 
 
 def inward(
-    uv: Float[np.ndarray, "corners 2"], faces: Integer[np.ndarray, "faces 3"], side: Integer[np.ndarray, "edges 2"]
-) -> Float[np.ndarray, "edges 2"]:
+    uv: Float[Array, "corners 2"], faces: Integer[Array, "faces 3"], side: Integer[Array, "edges 2"]
+) -> Float[Array, "edges 2"]:
     """Unit direction in the atlas from each chart edge into its chart, square to the edge."""
 
-    def key(ends: np.ndarray) -> np.ndarray:
+    def key(ends: Array) -> Array:
         return ends.min(1).astype(np.int64) * len(uv) + ends.max(1)
 
     keys, apex = key(half_edges(faces)), faces[:, [2, 0, 1]].T.ravel()
@@ -92,12 +88,12 @@ def inward(
 
 
 def seen_steps(
-    uv: Float[np.ndarray, "corners 2"],
-    faces: Integer[np.ndarray, "faces 3"],
+    uv: Float[Array, "corners 2"],
+    faces: Integer[Array, "faces 3"],
     edges: ChartEdges,
-    image: UInt8[np.ndarray, "height width channels"],
-    picture: UInt8[np.ndarray, "_size _size channels"],
-) -> Float[np.ndarray, "steps"]:
+    image: UInt8[Array, "height width channels"],
+    picture: UInt8[Array, "_size _size channels"],
+) -> Float[Array, "steps"]:
     """What is seen of the steps of `seam_steps` in a mip: how far (bytes, worst channel) they exceed the steps of the
     finest `picture`, as it was before closing, between places half a texel of the mip or one inside of the two charts.
 
@@ -121,30 +117,30 @@ def seen_steps(
 class _Mip(NamedTuple):
     """One mip: its texels that matter are those read here, and those above one that a finer mip reads."""
 
-    texels: Integer[np.ndarray, "n"]  # row * size + column, ascending
+    texels: Integer[Array, "n"]  # row * size + column, ascending
     # points on edges x texels: left side minus right side, times the root of what the mip's agreement weighs
     reads: csr_matrix
     # texels x the finer mip's texels: mean of 2 x 2
     finer: csr_matrix | None
     # share of a texel in this mip that no finer mip reads
-    rest: Float[np.ndarray, "n 1"]
+    rest: Float[Array, "n 1"]
 
 
 class _Unknowns(NamedTuple):
     """What is solved for: the mean of each group of texels that move together, within its bounds."""
 
-    texel: Integer[np.ndarray, "t"]  # row * size + column
-    owner: Integer[np.ndarray, "t"]  # the unknown that moves it
-    texel_low: Float[np.ndarray, "t channels"]
-    texel_high: Float[np.ndarray, "t channels"]
-    low: Float[np.ndarray, "unknowns channels"]
-    given: Float[np.ndarray, "unknowns channels"]
-    high: Float[np.ndarray, "unknowns channels"]
-    keep: Float[np.ndarray, "unknowns 1"]
+    texel: Integer[Array, "t"]  # row * size + column
+    owner: Integer[Array, "t"]  # the unknown that moves it
+    texel_low: Float[Array, "t channels"]
+    texel_high: Float[Array, "t channels"]
+    low: Float[Array, "unknowns channels"]
+    given: Float[Array, "unknowns channels"]
+    high: Float[Array, "unknowns channels"]
+    keep: Float[Array, "unknowns 1"]
 
     def texels_at(
-        self, values: Float[np.ndarray, "unknowns channels"], given: Float[np.ndarray, "t channels"]
-    ) -> Float[np.ndarray, "t channels"]:
+        self, values: Float[Array, "unknowns channels"], given: Float[Array, "t channels"]
+    ) -> Float[Array, "t channels"]:
         """The texels when the unknowns have these values: each the same share of its way to its bound."""
         up = values > self.given
         way = np.where(up, self.high, self.low) - self.given
@@ -153,12 +149,12 @@ class _Unknowns(NamedTuple):
 
 
 def solve_seams(
-    image: Float[np.ndarray, "height width channels"],
+    image: Float[Array, "height width channels"],
     texels: TexelMap,
-    uv: Float[np.ndarray, "corners 2"],
+    uv: Float[Array, "corners 2"],
     edges: ChartEdges,
     levels: int,
-) -> Float[np.ndarray, "height width channels"]:
+) -> Float[Array, "height width channels"]:
     """The image with its chart edges closed in the first `levels` mips, no texel beyond the colors of the two sides.
 
     Least squares within bounds over every texel that a point on a chart edge reads in any of these mips:
@@ -184,10 +180,8 @@ def solve_seams(
 
 
 def _descended(
-    chain: list[_Mip],
-    unknowns: _Unknowns,
-    differences: list[Float[np.ndarray, "_ channels"]],
-) -> Float[np.ndarray, "unknowns channels"]:
+    chain: list[_Mip], unknowns: _Unknowns, differences: list[Float[Array, "_ channels"]]
+) -> Float[Array, "unknowns channels"]:
     """The unknowns after DESCENT steps from the given image, whose `differences` these are.
 
     Accelerated projected gradients (Nesterov 1983), scaled by the diagonal and restarted where they turn uphill
@@ -211,7 +205,7 @@ def _descended(
 
 
 def _largest_eigenvalue(
-    chain: list[_Mip], keep: Float[np.ndarray, "unknowns 1"], diagonal: Float[np.ndarray, "unknowns 1"]
+    chain: list[_Mip], keep: Float[Array, "unknowns 1"], diagonal: Float[Array, "unknowns 1"]
 ) -> float:
     """The normal matrix's, scaled by its diagonal; by powers, and a tenth more to be safe."""
     vector = np.random.default_rng(0).normal(size=diagonal.shape).astype(np.float32)
@@ -223,18 +217,16 @@ def _largest_eigenvalue(
     return 1.1 * value
 
 
-def _differences(
-    chain: list[_Mip], image: Float[np.ndarray, "height width channels"]
-) -> list[Float[np.ndarray, "_ channels"]]:
+def _differences(chain: list[_Mip], image: Float[Array, "height width channels"]) -> list[Float[Array, "_ channels"]]:
     """Left side minus right side of the points on edges in each mip of an image, times what they count."""
     return [mip.reads @ values for mip, values in zip(chain, _values(chain, image), strict=True)]
 
 
 def _values(
     chain: list[_Mip],
-    image: Float[np.ndarray, "height width channels"],
-    one_of: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda a, b: 0.5 * (a + b),
-) -> list[Float[np.ndarray, "_ channels"]]:
+    image: Float[Array, "height width channels"],
+    one_of: Callable[[Array, Array], Array] = lambda a, b: 0.5 * (a + b),
+) -> list[Float[Array, "_ channels"]]:
     """The texels of each mip in an image; `one_of` two texels becomes one of the next mip, their mean."""
     result = []
     image = image.astype(np.float32)
@@ -245,7 +237,7 @@ def _values(
     return result
 
 
-def _unknowns(chain: list[_Mip], texels: TexelMap, image: Float[np.ndarray, "height width channels"]) -> _Unknowns:
+def _unknowns(chain: list[_Mip], texels: TexelMap, image: Float[Array, "height width channels"]) -> _Unknowns:
     """The texels that move, each with its unknown and its bounds, and what moving an unknown costs.
 
     A texel that the finest mip reads is an unknown of its own; else it belongs to the first mip's texel above it
@@ -283,9 +275,7 @@ def _unknowns(chain: list[_Mip], texels: TexelMap, image: Float[np.ndarray, "hei
     return _Unknowns(texel, owner, low, high, *means)
 
 
-def _range(
-    mip: _Mip, least: Float[np.ndarray, "n channels"], most: Float[np.ndarray, "n channels"]
-) -> tuple[np.ndarray, np.ndarray]:
+def _range(mip: _Mip, least: Float[Array, "n channels"], most: Float[Array, "n channels"]) -> tuple[Array, Array]:
     """For each texel of a mip the least and the largest value that the points which read it read, on both sides."""
     readers = mip.reads.T.tocsr()
     read = np.flatnonzero(np.diff(readers.indptr))
@@ -299,7 +289,7 @@ def _range(
     return result[0], result[1]
 
 
-def _chain(uv: Float[np.ndarray, "corners 2"], edges: ChartEdges, size: int, levels: int) -> list[_Mip]:
+def _chain(uv: Float[Array, "corners 2"], edges: ChartEdges, size: int, levels: int) -> list[_Mip]:
     """The mips in use, finest first."""
     chain: list[_Mip] = []
     for number in range(levels):
@@ -322,7 +312,7 @@ def _chain(uv: Float[np.ndarray, "corners 2"], edges: ChartEdges, size: int, lev
     return chain
 
 
-def _owners(chain: list[_Mip], size: int) -> Integer[np.ndarray, "all"]:
+def _owners(chain: list[_Mip], size: int) -> Integer[Array, "all"]:
     """For each texel of the image the unknown that moves it, or -1: itself where the finest mip reads it, else
     the unread rest of the first mip's texel above it that is in the chain."""
     owner = np.full((1, 1), -1)
@@ -335,9 +325,7 @@ def _owners(chain: list[_Mip], size: int) -> Integer[np.ndarray, "all"]:
     return owner.reshape(-1)
 
 
-def edge_reads(
-    uv: Float[np.ndarray, "corners 2"], edges: ChartEdges, size: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+def edge_reads(uv: Float[Array, "corners 2"], edges: ChartEdges, size: int) -> tuple[Array, Array, Array, int]:
     """Bilinear reads of points along the edges in a mip: rows (points), texels, weights, and how many points.
 
     DENSE points a texel, ends included, on the longer of the two sides; the right side counts negative.
@@ -362,11 +350,9 @@ def edge_reads(
     return np.tile(np.arange(len(edge)), 8), np.concatenate(columns), np.concatenate(values), len(edge)
 
 
-def _means(
-    chain: list[_Mip], x: Float[np.ndarray, "unknowns channels"]
-) -> list[tuple[_Mip, Float[np.ndarray, "_ channels"]]]:
+def _means(chain: list[_Mip], x: Float[Array, "unknowns channels"]) -> list[tuple[_Mip, Float[Array, "_ channels"]]]:
     """Each mip with its texels' values."""
-    result: list[tuple[_Mip, np.ndarray]] = []
+    result: list[tuple[_Mip, Array]] = []
     first = 0
     for mip in chain:
         value = mip.rest * x[first : first + len(mip.texels)]
@@ -377,12 +363,10 @@ def _means(
     return result
 
 
-def _spread_back(
-    chain: list[_Mip], points: list[Float[np.ndarray, "_ channels"]]
-) -> Float[np.ndarray, "unknowns channels"]:
+def _spread_back(chain: list[_Mip], points: list[Float[Array, "_ channels"]]) -> Float[Array, "unknowns channels"]:
     """Transpose of reading the edges' points in every mip."""
-    parts: list[np.ndarray] = []
-    above: np.ndarray | None = None
+    parts: list[Array] = []
+    above: Array | None = None
     for mip, value in zip(reversed(chain), reversed(points), strict=True):
         here = mip.reads.T @ value
         if above is not None:
@@ -392,14 +376,10 @@ def _spread_back(
     return np.concatenate(parts[::-1])
 
 
-def _diagonal(chain: list[_Mip]) -> Float[np.ndarray, "unknowns 1"]:
+def _diagonal(chain: list[_Mip]) -> Float[Array, "unknowns 1"]:
     """Diagonal of the normal matrix, the cross terms between mips left out."""
-    parts: list[np.ndarray] = []
-    above: np.ndarray | None = None
-    for mip in reversed(chain):
-        here = np.asarray(mip.reads.multiply(mip.reads).sum(0)).reshape(-1, 1)
-        if above is not None:
-            here = here + above
-        parts.append(mip.rest**2 * here)
-        above = None if mip.finer is None else 0.25 * (mip.finer.T @ here)
-    return np.concatenate(parts[::-1]).astype(np.float32)
+    squared = [
+        _Mip(mip.texels, mip.reads.power(2), None if mip.finer is None else mip.finer.power(2), mip.rest**2)
+        for mip in chain
+    ]
+    return _spread_back(squared, [np.ones((mip.reads.shape[0], 1), np.float32) for mip in chain])

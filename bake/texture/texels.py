@@ -4,9 +4,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer, UInt8
+from jaxtyping import Bool, Float, Integer
 
 from geometry.cells import nearest_marked
+
+Array = np.ndarray
 
 # where in a texel the color is sampled: its centre, then three places around it
 JITTER = np.array([[0.0, 0.0], [-0.1, -0.37], [0.37, 0.1], [-0.27, 0.27]])
@@ -20,23 +22,19 @@ class TexelMap(NamedTuple):
     """The texels of an atlas that show surface, in row-major order."""
 
     # row * size + column; row 0 is v = 0
-    index: Integer[np.ndarray, "texels"]
-    face: Integer[np.ndarray, "texels"]
+    index: Integer[Array, "texels"]
+    face: Integer[Array, "texels"]
     # centre inside its triangle; others are the charts' skirt
-    inside: Bool[np.ndarray, "texels"]
+    inside: Bool[Array, "texels"]
     size: int
 
-    def rows(self, chosen: Integer[np.ndarray, "rows"]) -> "TexelMap":
+    def rows(self, chosen: Integer[Array, "rows"]) -> "TexelMap":
         """Some of the texels."""
         return TexelMap(self.index[chosen], self.face[chosen], self.inside[chosen], self.size)
 
 
 def rasterise_charts(
-    uv: Float[np.ndarray, "corners 2"],
-    faces: Integer[np.ndarray, "faces 3"],
-    size: int,
-    *,
-    skirt: float = SKIRT,
+    uv: Float[Array, "corners 2"], faces: Integer[Array, "faces 3"], size: int, *, skirt: float = SKIRT
 ) -> TexelMap:
     """Triangle of every texel whose centre lies in one, or within `skirt` texels of one.
 
@@ -48,9 +46,8 @@ def rasterise_charts(
     high = np.clip(np.ceil(corners.max(1) + skirt - 0.5).astype(np.int64) - 1, 0, size - 1)
     extent = np.maximum(high - low + 1, 0)
     lines = _lines(corners)
-    ahead, aside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     # a triangle without area in the atlas owns no texel: it borrows one from a neighbour (atlas.place_degenerate_faces)
-    owns = np.abs(ahead[:, 0] * aside[:, 1] - ahead[:, 1] * aside[:, 0]) > 1e-6
+    owns = atlas_areas(corners) > 0.5e-6
     counts = extent[:, 0] * extent[:, 1] * owns
     depth = np.full(size * size, -np.inf, np.float32)
     owner = np.full(size * size, -1, np.int64)
@@ -84,7 +81,13 @@ def rasterise_charts(
     return TexelMap(index, owner[index], depth[index] >= 0, size)
 
 
-def _lines(corners: Float[np.ndarray, "faces 3 2"]) -> Float[np.ndarray, "faces 3 3"]:
+def atlas_areas(corners: Float[Array, "faces 3 2"]) -> Float[Array, "faces"]:
+    """Area of each triangle of an atlas, in the square of the unit of its corners."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+
+
+def _lines(corners: Float[Array, "faces 3 2"]) -> Float[Array, "faces 3 3"]:
     """Each side of each triangle as (a, b, c): a x + b y + c is the depth inside of it, texels."""
     ahead = np.roll(corners, -1, axis=1) - corners
     area = ahead[:, 0, 0] * ahead[:, 1, 1] - ahead[:, 0, 1] * ahead[:, 1, 0]
@@ -94,8 +97,8 @@ def _lines(corners: Float[np.ndarray, "faces 3 2"]) -> Float[np.ndarray, "faces 
 
 
 def _depth(
-    lines: Float[np.ndarray, "faces 3 3"], face: Integer[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n"]:
+    lines: Float[Array, "faces 3 3"], face: Integer[Array, "n"], points: Float[Array, "n 2"]
+) -> Float[Array, "n"]:
     """Depth of points behind the nearest side's line, texels; outside minus the distance to the farthest line."""
     x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
     result = np.full(len(points), np.inf)
@@ -106,8 +109,8 @@ def _depth(
 
 
 def _away(
-    corners: Float[np.ndarray, "faces 3 2"], face: Integer[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n"]:
+    corners: Float[Array, "faces 3 2"], face: Integer[Array, "n"], points: Float[Array, "n 2"]
+) -> Float[Array, "n"]:
     """Distance of points from the border of their triangles, texels."""
     triangle = corners[face]
     result = np.full(len(points), np.inf)
@@ -122,13 +125,13 @@ def _away(
 
 
 def barycentric(
-    uv: Float[np.ndarray, "corners 2"],
-    faces: Integer[np.ndarray, "faces 3"],
+    uv: Float[Array, "corners 2"],
+    faces: Integer[Array, "faces 3"],
     texels: TexelMap,
-    jitter: Float[np.ndarray, "2"],
+    jitter: Float[Array, "2"],
     *,
     reach: float = 2.5,
-) -> Float[np.ndarray, "texels 3"]:
+) -> Float[Array, "texels 3"]:
     """Barycentric coordinates of each texel's sample in its triangle; they leave [0, 1] on the skirt.
 
     At most `reach` texels outside: in a triangle thinner than a texel the coordinates would run away, so they
@@ -159,7 +162,7 @@ def barycentric(
     return result
 
 
-def spread(values: Float[np.ndarray, "texels channels"], texels: TexelMap, rest: float = 0.0) -> np.ndarray:
+def spread(values: Float[Array, "texels channels"], texels: TexelMap, rest: float = 0.0) -> Array:
     """Image (size, size, channels) with every uncovered texel set to the nearest covered one's value."""
     image = np.full((texels.size * texels.size, values.shape[1]), rest)
     image[texels.index] = values
@@ -172,18 +175,13 @@ def spread(values: Float[np.ndarray, "texels channels"], texels: TexelMap, rest:
     return image[nearest_marked(covered)]
 
 
-def bytes_from_unit(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
-    """[0, 1] -> 0..255, rounded to nearest (truncation would darken by half a step)."""
-    return np.clip(np.round(values * 255.0), 0, 255).astype(np.uint8)
-
-
 def sample_texels(
-    color: Callable[[Integer[np.ndarray, "rows"], np.ndarray], Float[np.ndarray, "rows 3"]],
+    color: Callable[[Integer[Array, "rows"], Array], Float[Array, "rows 3"]],
     texels: TexelMap,
     *,
     contrast: float = 4 / 255,
     samples: int = len(JITTER),
-) -> Float[np.ndarray, "texels 3"]:
+) -> Float[Array, "texels 3"]:
     """Mean color of each texel: its centre, and up to `samples` in all where neighbours differ.
 
     color(rows, jitter) returns the color of those rows of `texels` at their centres moved by jitter (texels);

@@ -161,10 +161,7 @@ def shown_range(points: Float[Array, "pixels 3"], color: Float[Array, "pixels 3"
 
 
 def within_shown(
-    color: Float[Array, "n 3"],
-    given: Float[Array, "n 3"],
-    points: Float[Array, "n 3"],
-    ranges: Sequence[ShownRange],
+    color: Float[Array, "n 3"], given: Float[Array, "n 3"], points: Float[Array, "n 3"], ranges: Sequence[ShownRange]
 ) -> Float[Array, "n 3"]:
     """The colors, none farther than MARGIN outside of what pixels show round their points and the `given` color."""
     low, high = given.astype(np.float32), given.astype(np.float32)

@@ -14,6 +14,7 @@ from jaxtyping import Float, Integer
 from scipy.sparse import csr_matrix
 
 from avatar.camera import Camera
+from avatar.rotation import unit_or_zero
 from avatar.skeleton import PARTS
 from bake.level import BakedLevel, PlacesOnFinest, rounded, with_picture
 from bake.promises import Facts
@@ -25,14 +26,13 @@ from bake.texture.pixel_reads import (
     PixelReads,
     ViewChange,
     atlas_mesh,
-    blended,
     part_of_corners,
     pixel_size,
     samples_for,
     video_reads,
 )
 from bake.texture.seams import edge_reads
-from bake.texture.texels import TexelMap, barycentric, spread
+from bake.texture.texels import TexelMap, atlas_areas, barycentric, spread
 from bake.texture.texture_solve import (
     Equations,
     Prior,
@@ -43,7 +43,7 @@ from bake.texture.texture_solve import (
     within_shown,
 )
 from capture.folder import PartVideo
-from geometry.mesh import TriangleMesh, face_areas
+from geometry.mesh import TriangleMesh, blended, face_areas
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
 
@@ -261,9 +261,7 @@ def seam_equations(mesh: AtlasMesh, baked: BakedLevel, given: Float[Array, "texe
 def texel_sizes(mesh: AtlasMesh) -> Float[Array, "texels"]:
     """Metres of each texel's side on the surface."""
     corners = mesh.uv[mesh.faces] * mesh.size
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    covered = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-    side = np.sqrt(face_areas(mesh.positions, mesh.faces) / np.maximum(covered, 1e-6))
+    side = np.sqrt(face_areas(mesh.positions, mesh.faces) / np.maximum(atlas_areas(corners), 1e-6))
     middle = np.median(side[mesh.texels.face])
     return np.clip(side, 0.1 * middle, 10 * middle)[mesh.texels.face]
 
@@ -299,8 +297,7 @@ def texel_surface(mesh: AtlasMesh, texel: Float[Array, "texels"]) -> TexelSurfac
     weight = np.clip(barycentric(mesh.uv, mesh.faces, mesh.texels, np.zeros(2)), 0, 1)
     weight /= weight.sum(1, keepdims=True)
     corners = mesh.faces[mesh.texels.face]
-    facing = blended(mesh.normals, corners, weight)
-    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-20)
+    facing = unit_or_zero(blended(mesh.normals, corners, weight))
     return TexelSurface(
         TriangleMesh(welded, faces), faces[mesh.texels.face], weight, blended(mesh.positions, corners, weight), facing,
         np.square(texel), mesh.piece[mesh.texels.face],

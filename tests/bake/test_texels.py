@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from capsules import ball_mesh
 
+from avatar.texture import bytes_of
 from bake.atlas import unwrap
-from bake.texture.texels import JITTER, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
+from bake.texture.texels import JITTER, barycentric, rasterise_charts, sample_texels, spread
 from geometry.decimate import decimate
 
 SIZE = 256
@@ -94,4 +95,4 @@ def test_texel_is_the_mean_of_its_samples_where_color_changes():
 
 
 def test_bytes_are_rounded_not_truncated():
-    np.testing.assert_array_equal(bytes_from_unit(np.arange(256) / 255 - 1e-9), np.arange(256))
+    np.testing.assert_array_equal(bytes_of(np.arange(256) / 255 - 1e-9), np.arange(256))

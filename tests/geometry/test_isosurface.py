@@ -4,7 +4,7 @@ import torch
 from capsules import sphere
 
 from command.errors import AssetError
-from geometry.isosurface import Detail, extract, graded_axis, project_to_zero, sample_near_surface
+from geometry.isosurface import Detail, GridSteps, Hints, extract, graded_axis, project_to_zero, sample_near_surface
 from geometry.mesh import TriangleMesh, enclosed_volume
 from geometry.repair import find_faults
 
@@ -32,10 +32,8 @@ def test_a_detail_keeps_what_the_grid_would_lose():
     hints = 0.1 * np.random.default_rng(0).normal(size=(400, 3))
     hints = 0.1 * hints / np.linalg.norm(hints, axis=1, keepdims=True)
     detail = Detail(np.array([-0.01, -0.02, 0.09]), np.array([0.01, 0.02, 0.11]), 0.001)
-    coarse, fine = (
-        extract(distance, normal, hints, np.zeros(400, bool), coarse_step=0.008, fine_step=0.004, details=given)
-        for given in ((), (detail,))
-    )
+    hints, steps = Hints(hints, np.zeros(400, bool)), GridSteps(0.008, 0.004)
+    coarse, fine = (extract(distance, normal, hints, steps, details=given) for given in ((), (detail,)))
     for found, top in ((coarse, False), (fine, True)):
         assert not find_faults(found.mesh.faces, len(found.mesh.vertices))
         across = (np.abs(found.mesh.vertices[:, 1]) < 0.015) & (found.mesh.vertices[:, 2] > 0.09)
@@ -48,11 +46,11 @@ def test_what_a_field_makes_up_at_the_edge_of_its_box_is_air_where_hints_tell_fr
     below = lambda points: np.minimum(ball(points), points[:, 1] + 0.125)
     normal = lambda points: points / np.linalg.norm(points, axis=1, keepdims=True)
     facing = normal(np.random.default_rng(0).normal(size=(3000, 3)))
-    options = {"coarse_step": 0.008, "fine_step": 0.004}
-    found = extract(below, normal, 0.1 * facing, np.zeros(3000, bool), facing=facing, **options)
+    hints, steps = Hints(0.1 * facing, np.zeros(3000, bool)), GridSteps(0.008, 0.004)
+    found = extract(below, normal, hints._replace(facing=facing), steps)
     assert enclosed_volume(found.mesh) == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=0.02)
     with pytest.raises(AssetError, match=r"should be positive 3 cm outside the template"):
-        extract(below, normal, 0.1 * facing, np.zeros(3000, bool), **options)
+        extract(below, normal, hints, steps)
 
 
 def test_what_hangs_a_millimetre_before_the_surface_is_not_joined_to_it():
@@ -69,14 +67,10 @@ def test_what_hangs_a_millimetre_before_the_surface_is_not_joined_to_it():
 
     facing = np.random.default_rng(0).normal(size=(3000, 3))
     facing /= np.linalg.norm(facing, axis=1, keepdims=True)
-    hints = facing * 0.1
+    hints, steps = Hints(facing * 0.1, np.zeros(3000, bool)), GridSteps(0.008, 0.004)
     joined, apart = (
-        extract(
-            distance, normal, hints, np.zeros(3000, bool),
-            coarse_step=0.008, fine_step=0.004, margin=0.06, facing=given,
-        )
-        for given in (None, facing)
-    )  # fmt: skip
+        extract(distance, normal, hints._replace(facing=given), steps, margin=0.06) for given in (None, facing)
+    )
     assert joined.mesh.vertices[:, 2].max() > 0.135
     assert apart.mesh.vertices[:, 2].max() < 0.11 and not find_faults(apart.mesh.faces, len(apart.mesh.vertices))
     assert apart.mesh.vertices[:, 0].max() > 0.107
@@ -100,13 +94,15 @@ def test_projection_reaches_the_zero_set_whatever_the_slope(slope):
     rng = np.random.default_rng(0)
     points = rng.normal(size=(500, 3))
     points *= (0.1 + rng.uniform(-0.003, 0.003, (500, 1))) / np.linalg.norm(points, axis=1, keepdims=True)
-    _, residual = project_to_zero(lambda p: slope * distance(p) + 30 * distance(p) ** 2, normal, points, reach=0.004)
+    sloped = lambda p: slope * distance(p) + 30 * distance(p) ** 2
+    _, residual = project_to_zero(sloped, points, normal(points), reach=0.004)
     assert residual.max() < 1e-4
 
 
 def test_point_without_a_zero_in_reach_stays_finite_and_says_so():
     distance, normal = sphere(0.1)
-    moved, residual = project_to_zero(distance, normal, np.array([[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]), reach=0.004)
+    points = np.array([[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    moved, residual = project_to_zero(distance, points, normal(points), reach=0.004)
     assert np.isfinite(moved).all() and (residual > 0.09).all()
 
 
@@ -133,7 +129,7 @@ def test_normals_face_the_way_the_triangles_do(run):
 def test_fine_points_get_a_finer_mesh():
     distance, normal = sphere(0.1)
     box = np.array([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1], [0.05, 0.05, 0.05]])
-    found = extract(distance, normal, box, np.array([False, False, True]), coarse_step=0.01, fine_step=0.0025)
+    found = extract(distance, normal, Hints(box, np.array([False, False, True])), GridSteps(0.01, 0.0025))
     v, f = found.mesh
     side = np.linalg.norm(v[f[:, 1]] - v[f[:, 0]], axis=1)
     centre = v[f].mean(1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geometry.sample import fibonacci_sphere
+from avatar.rotation import fibonacci_sphere
 from geometry.winding import winding_grid
 
 RADIUS, CELL = 0.1, 0.01

@@ -7,15 +7,15 @@ import pytest
 from capsules import ball_mesh, sphere
 from charted_ball import charted_ball
 
-from avatar.texture import mipmaps, sample_texture
+from avatar.texture import bytes_of, mipmaps, sample_texture
 from bake.atlas import unwrap
 from bake.skin import transferred_weights
 from bake.texture.seams import seam_steps, solve_seams
-from bake.texture.texels import bytes_from_unit, rasterise_charts, spread
+from bake.texture.texels import rasterise_charts, spread
 from command.errors import AssetError
 from geometry.closest import match_surface
 from geometry.decimate import balanced, decimate
-from geometry.isosurface import extract
+from geometry.isosurface import GridSteps, Hints, extract
 from geometry.mesh import TriangleMesh, compact
 from geometry.repair import find_faults, repair
 
@@ -23,7 +23,7 @@ BOX = np.array([[-0.12, -0.12, -0.12], [0.12, 0.12, 0.12]])
 
 
 def found(distance, normal=None, box=BOX, step=0.01):
-    return extract(distance, normal or sphere(0.1)[1], box, np.zeros(len(box), bool), coarse_step=step, fine_step=step)
+    return extract(distance, normal or sphere(0.1)[1], Hints(box, np.zeros(len(box), bool)), GridSteps(step, step))
 
 
 FIELDS = {
@@ -212,7 +212,7 @@ def test_both_sides_of_chart_edges_agree_at_every_mip_used(level, size, padding,
     ball = charted_ball(size, padding, above=0.03)
     image = spread(0.5 + 0.3 * np.sin(ball.points * [70.0, 50.0, 60.0]), ball.texels)
     levels = padding.bit_length()
-    closed = bytes_from_unit(solve_seams(image, ball.texels, ball.chart.uv, ball.edges, levels))
+    closed = bytes_of(solve_seams(image, ball.texels, ball.chart.uv, ball.edges, levels))
     for mip in mipmaps(closed, levels):
         steps = seam_steps(ball.chart.uv, ball.edges, mip)
         within(np.median(steps), 1.0, "of 255, median")
@@ -253,7 +253,7 @@ def test_closing_chart_edges_never_leaves_the_colors_of_the_two_sides(pattern, w
         shown = closed.reshape(-1, 3)[own]
         within(np.maximum(pair.min(0) - shown, shown - pair.max(0)).max(), 0.5 / 255, "beyond its half")
     low, high = 255 * image.min((0, 1)), 255 * image.max((0, 1))
-    for mip in mipmaps(bytes_from_unit(closed), levels):
+    for mip in mipmaps(bytes_of(closed), levels):
         within(np.maximum(low - mip, mip - high).max(), 1.0, "of 255, in a mip")
 
 

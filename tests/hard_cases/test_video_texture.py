@@ -11,12 +11,12 @@ from scipy.sparse import coo_matrix, csr_matrix, identity
 from avatar.camera import orbit_camera
 from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
-from avatar.texture import mipmaps
+from avatar.texture import bytes_of, mipmaps
 from bake.level import BakedLevel, level_of_file
 from bake.run_capture import RunVideos
 from bake.texture.pixel_reads import atlas_mesh
 from bake.texture.seams import edge_reads, solve_seams
-from bake.texture.texels import TexelMap, bytes_from_unit, spread
+from bake.texture.texels import TexelMap, spread
 from bake.texture.texture_solve import Equations, Prior, neighbour_pairs, solve_change
 from bake.texture.video_texture import solve_texture
 from capture.folder import PartVideo
@@ -170,5 +170,5 @@ def test_contrasts_of_one_texel_across_chart_edges_stay_within_what_was_seen(pat
     image = spread(np.clip(found, 0, 1), texels)
     closed = solve_seams(image, texels, chart.uv, edges, levels)
     within(np.maximum(image.min((0, 1)) - closed, closed - image.max((0, 1))).max(), 1e-6, "beyond the solved")
-    for mip in mipmaps(bytes_from_unit(closed), levels):
+    for mip in mipmaps(bytes_of(closed), levels):
         within(np.maximum(255 * low - mip, mip - 255 * high).max(), 6.0, "of 255, in a mip")

@@ -5,7 +5,7 @@ networks and the appearance codes; a line in train/preset.py (Networks) makes it
 All take points in the part's unit box, [-1, 1] in each axis (`PartField.unit`):
 
     geometry(unit)                                        -> signed distance in metres (n,), feature (n, z)
-    color(unit, feature, normals, directions, code)       -> sRGB in [0, 1]
+    color(ColorInputs)                                    -> sRGB in [0, 1]
     displacement(unit, frame)                             -> T_nr in metres
 """
 
@@ -59,6 +59,16 @@ class TemplateCorrection(Geometry):
         return self.reach * torch.tanh(self.correction(hidden)[:, 0]), self.feature(hidden)
 
 
+class ColorInputs(NamedTuple):
+    """What F_c is asked at."""
+
+    unit: Float[Tensor, "n 3"]
+    feature: Float[Tensor, "n z"]
+    normals: Float[Tensor, "n 3"]
+    directions: Float[Tensor, "n 3"]
+    code: Float[Tensor, "n l"]
+
+
 class SmallColor(nn.Module):
     """F_c of three layers, with a grid of its own where one is given: texture is finer than shape."""
 
@@ -70,18 +80,12 @@ class SmallColor(nn.Module):
             nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 3)
         )
 
-    def forward(
-        self,
-        unit: Float[Tensor, "n 3"],
-        feature: Float[Tensor, "n z"],
-        normals: Float[Tensor, "n 3"],
-        directions: Float[Tensor, "n 3"],
-        code: Float[Tensor, "n l"],
-    ) -> Float[Tensor, "n 3"]:
+    def forward(self, at: ColorInputs) -> Float[Tensor, "n 3"]:
         """sRGB in [0, 1]."""
-        inputs = [positional_encoding(unit, 6), feature, normals, positional_encoding(directions, 1), code]
+        directions = positional_encoding(at.directions, 1)
+        inputs = [positional_encoding(at.unit, 6), at.feature, at.normals, directions, at.code]
         if self.planes is not None:
-            inputs.append(self.planes(unit))
+            inputs.append(self.planes(at.unit))
         return torch.sigmoid(self.network(torch.cat(inputs, -1)))
 
 

@@ -8,7 +8,7 @@ normals in a loss ask. Levels open one after the other, coarse first: shape sett
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float, Int
@@ -49,11 +49,7 @@ class HashNetworks:
             nn.Linear(width, width), nn.ReLU(),
         )  # fmt: skip
         displacement = Displacement(
-            frame_codes(frames, self.displacement),
-            trunk,
-            width=width,
-            frequencies=4,
-            reach=displacement_reach,
+            frame_codes(frames, self.displacement), trunk, width=width, frequencies=4, reach=displacement_reach
         )
         return PartNetworks(geometry, appearance, color, displacement)
 
@@ -65,13 +61,13 @@ class _Take(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx: Any, table: Tensor, index: Tensor) -> Tensor:
+    def forward(ctx, table: Tensor, index: Tensor) -> Tensor:
         ctx.save_for_backward(index)
         ctx.rows = len(table)
         return table[index]
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Any) -> Any:
+    def backward(ctx, *gradients):
         (index,) = ctx.saved_tensors
         return _Add.apply(gradients[0], index, ctx.rows), None
 
@@ -80,13 +76,13 @@ class _Add(torch.autograd.Function):
     """Rows summed into a table of zeros: the adjoint of `_Take`."""
 
     @staticmethod
-    def forward(ctx: Any, values: Tensor, index: Tensor, rows: int) -> Tensor:
+    def forward(ctx, values: Tensor, index: Tensor, rows: int) -> Tensor:
         ctx.save_for_backward(index)
         table = torch.zeros(rows, values.shape[-1], dtype=values.dtype, device=values.device)
         return table.index_add_(0, index, values.contiguous())
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Any) -> Any:
+    def backward(ctx, *gradients):
         (index,) = ctx.saved_tensors
         return _Take.apply(gradients[0], index), None, None
 

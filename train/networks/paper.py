@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from train.deform import Displacement, positional_encoding
-from train.networks import Geometry, PartNetworks, frame_codes
+from train.networks import ColorInputs, Geometry, PartNetworks, frame_codes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,20 +147,11 @@ class PaperColor(nn.Module):
         self.trunk = SkipLayers([nn.Linear(size, networks.width) for size in sizes], F.relu)
         self.out = nn.Linear(networks.width, 3)
 
-    def forward(
-        self,
-        unit: Float[Tensor, "n 3"],
-        feature: Float[Tensor, "n z"],
-        normals: Float[Tensor, "n 3"],
-        directions: Float[Tensor, "n 3"],
-        code: Float[Tensor, "n l"],
-    ) -> Float[Tensor, "n 3"]:
+    def forward(self, at: ColorInputs) -> Float[Tensor, "n 3"]:
         """sRGB in [0, 1]."""
         inputs = [
-            positional_encoding(unit * self.aspect, self.point_frequencies),
-            positional_encoding(directions, self.direction_frequencies),
-            normals,
-            feature,
-            code,
+            positional_encoding(at.unit * self.aspect, self.point_frequencies),
+            positional_encoding(at.directions, self.direction_frequencies),
+            *(at.normals, at.feature, at.code),
         ]
         return torch.sigmoid(self.out(self.trunk(torch.cat(inputs, -1))))

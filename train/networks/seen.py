@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from train.deform import Displacement
-from train.networks import Geometry, PartNetworks, frame_codes
+from train.deform import Displacement, trilinear
+from train.networks import ColorInputs, Geometry, PartNetworks, frame_codes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,16 +49,6 @@ class SeenColor(nn.Module):
         axes = [torch.linspace(-1, 1, count) for count in self.values.shape[1:]]
         return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
 
-    def forward(
-        self,
-        unit: Float[Tensor, "n 3"],
-        feature: Float[Tensor, "n z"],
-        normals: Float[Tensor, "n 3"],
-        directions: Float[Tensor, "n 3"],
-        code: Float[Tensor, "n l"],
-    ) -> Float[Tensor, "n 3"]:
+    def forward(self, at: ColorInputs) -> Float[Tensor, "n 3"]:
         """sRGB in [0, 1]; beyond the unit box the border repeats."""
-        # grid_sample counts its last axis first
-        at = unit.flip(-1)[None, :, None, None]
-        sampled = F.grid_sample(self.values[None], at, padding_mode="border", align_corners=True)
-        return sampled[0, :, :, 0, 0].T
+        return trilinear(self.values, at.unit)
