@@ -149,20 +149,25 @@ class Avatar:
         return self.levels[min(number, len(self.levels) - 1)]
 
 
+# as many rows as positions have
+ROWS = -2
 # field: dtype and shape, -1 for any size
 LEVEL_ARRAYS = {
     "positions": ("float32", (-1, 3)),
-    "normals": ("float32", (-1, 3)),
-    "uv": ("float32", (-1, 2)),
+    "normals": ("float32", (ROWS, 3)),
+    "uv": ("float32", (ROWS, 2)),
     "faces": ("uint32", (-1, 3)),
-    "joints": ("uint8", (-1, 4)),
-    "weights": ("uint8", (-1, 4)),
-    "view_dir": ("float32", (-1, 3)),
-    "view_q": ("float32", (-1, 6)),
-    "view_seen": ("float32", (-1,)),
+    "joints": ("uint8", (ROWS, 4)),
+    "weights": ("uint8", (ROWS, 4)),
+    "view_dir": ("float32", (ROWS, 3)),
+    "view_q": ("float32", (ROWS, 6)),
+    "view_seen": ("float32", (ROWS,)),
     "base_color": ("uint8", (-1, -1, 3)),
     "features": ("uint8", (-1, -1, -1)),
+    "light": ("float32", (ROWS, 2)),
+    "loose": ("float32", (ROWS,)),
 }
+MAY_BE_NONE = ("features", "light", "loose")
 FEATURES = (4, 8)  # a texel may hold
 NETWORK_ARRAYS = {  # number of features: the network's arrays
     4: {"w1": (16, 8), "b1": (16,), "w2": (3, 16), "b2": (3,)},
@@ -173,25 +178,18 @@ NETWORK_ARRAYS = {  # number of features: the network's arrays
 def check_level(level: Mapping[str, Any], where: str) -> None:
     """Refuse fields of a level that break a promise of `Level`, with a ValueError that says which."""
     for name, (dtype, shape) in LEVEL_ARRAYS.items():
-        if name == "features" and level[name] is None:
-            continue
-        _check_array(level[name], f"{where}.{name}", dtype, shape)
-    light = level.get("light")
+        values = level.get(name)
+        if values is not None or name not in MAY_BE_NONE:
+            rows = tuple(len(level["positions"]) if n == ROWS else n for n in shape)
+            _check_array(values, f"{where}.{name}", dtype, rows)
+    count, features, light, loose = len(level["positions"]), *(level.get(name) for name in MAY_BE_NONE)
     if light is not None:
-        _check_array(light, f"{where}.light", "float32", (len(level["positions"]), 2))
         right = (light[:, 0] >= 0.009) & (light[:, 0] < 100) & (light[:, 1] >= 0) & (light[:, 1] < 100)
         _check_rows(right, f"{where}.light", "S from .01 and H from 0, both below 100", light)
-    loose = level.get("loose")
     if loose is not None:
-        _check_array(loose, f"{where}.loose", "float32", (len(level["positions"]),))
         _check_rows((loose >= 0) & (loose <= 1), f"{where}.loose", "from 0 to 1", loose)
-    features = level["features"]
     if features is not None and features.shape[2] not in FEATURES:
         raise ValueError(f"{where}.features should be 4 or 8 a texel, are {features.shape[2]}")
-    count = len(level["positions"])
-    for name in ("normals", "uv", "joints", "weights", "view_dir", "view_q", "view_seen"):
-        if len(level[name]) != count:
-            raise ValueError(f"{where}.{name} should have {count} rows, as positions, has {len(level[name])}")
 
     _check_rows(level["faces"].max(axis=1) < count, f"{where}.faces", f"below {count}", level["faces"])
     for name in ("normals", "view_dir"):

@@ -54,19 +54,8 @@ CONVERTERS = {
 # an accessor that no bytes back (all zero, or sparse)
 MAX_EMPTY_BYTES = 1 << 26
 COLLECTIONS = (
-    "accessors",
-    "animations",
-    "buffers",
-    "bufferViews",
-    "images",
-    "materials",
-    "meshes",
-    "nodes",
-    "samplers",
-    "scenes",
-    "skins",
-    "textures",
-)
+    "accessors animations buffers bufferViews images materials meshes nodes samplers scenes skins textures"
+).split()
 
 
 @dataclass(frozen=True)
