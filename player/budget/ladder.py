@@ -20,7 +20,7 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from player.budget.rung import MOST_JOINTS, SHARE_NAMES, Rung, rung_of
-from player.effects.avatar import VIEWS
+from player.effects.avatar import views_of
 from player.gl.context import Context
 from player.scene.renderer import Pose, Renderer
 
@@ -44,13 +44,6 @@ class Timing(NamedTuple):
     ms: Float[np.ndarray, "rounds"]  # one frame each, milliseconds
     bytes: int  # GL memory of the rung's plan, target included
     start_ms: float  # until the first frame is drawn: programs, textures, meshes
-
-
-def views_of(avatar: Avatar) -> list[str]:
-    """View modes the file holds, dearest first: network, linear, vertex, off."""
-    has = {"network": avatar.network is not None, "linear": avatar.linear is not None, "off": True}
-    has["vertex"] = has["network"] or has["linear"]
-    return [view for view in reversed(VIEWS) if has[view]]
 
 
 def rungs_of(avatar: Avatar) -> list[Rung]:

@@ -126,8 +126,13 @@ def resolved_view(avatar: Avatar, view: str, software: bool) -> tuple[str, str]:
         return avatar.default_view, "the avatar's own default"
     if view not in VIEWS:
         raise ValueError(f"view should be auto or one of {', '.join(VIEWS)}, is {view!r}")
-    has = {"network": avatar.network is not None, "linear": avatar.linear is not None}
-    if (view in has and not has[view]) or (view == "vertex" and not any(has.values())):
-        held = [name for name, there in has.items() if there]
-        raise ValueError(f"view {view} is not in avatar {avatar.name}; it has {', '.join(['off', *held])}")
+    if view not in views_of(avatar):
+        raise ValueError(f"view {view} is not in avatar {avatar.name}; it has {', '.join(views_of(avatar))}")
     return view, "asked for"
+
+
+def views_of(avatar: Avatar) -> list[str]:
+    """View modes the file holds, dearest first: network, linear, vertex, off."""
+    models = {"network": avatar.network, "linear": avatar.linear}
+    held = [view for view, model in models.items() if model is not None]
+    return [*held, *(["vertex"] if held else []), "off"]

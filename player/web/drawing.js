@@ -2,10 +2,16 @@
 
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const BLOCKS = { Frame: 0, Bones: 1, Turns: 2 };
-// name, components, of which array; view_q0 and view_q1 lie in one
+// name, components, of which array, bytes from one to the next (0: no others lie between) and to the first
 const ATTRIBUTES = [
-  ["position", 3, "position"], ["uv", 2, "uv"], ["view_mean", 3, "view_mean"], ["view_seen", 1, "view_seen"],
+  ["position", 3, "position", 0, 0], ["uv", 2, "uv", 0, 0], ["view_mean", 3, "view_mean", 0, 0],
+  ["view_seen", 1, "view_seen", 0, 0], ["view_q0", 3, "view_q", 24, 0], ["view_q1", 3, "view_q", 24, 12],
 ];
+
+// Pixels that are drawn for so many; share: of each side.
+function drawnSize(share, width, height) {
+  return [width, height].map((side) => Math.max(1, Math.round(side * share)));
+}
 
 // Mipmaps worth having: avatar/texture.py, mip_levels.
 function mipLevels(size) {
@@ -26,9 +32,9 @@ function strongest(weights, joints) {
 }
 
 class Drawing {
-  // avatar: the page's facts; bytes: a function of a blob's name; programs: sources by view mode
-  constructor(canvas, avatar, programs, bytes) {
-    Object.assign(this, { canvas, avatar, sources: programs, bytes });
+  // facts: the player's, with an avatar, and programs by view mode; changed: called when all has to be drawn anew
+  constructor(canvas, { avatar, programs }, changed = () => {}) {
+    Object.assign(this, { canvas, avatar, sources: programs });
     this.skeleton = {
       parents: avatar.parents,
       offsets: avatar.offsets,
@@ -40,6 +46,11 @@ class Drawing {
     const settings = { antialias: false, alpha: false, depth: false, stencil: false, powerPreference: "high-performance" };
     this.gl = canvas.getContext("webgl2", settings);
     if (!this.gl) throw new Error("This browser has no WebGL 2, or it is turned off.");
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.begin();
+      changed();
+    });
     this.begin();
   }
 
@@ -75,9 +86,9 @@ class Drawing {
   async unpack(level) {
     const facts = this.avatar.levels[level], name = `level${level}`;
     const [mesh, color, features] = await Promise.all([
-      unpackedMesh(facts, this.bytes(`${name}.mesh`)),
-      unpackedColor(this.bytes(`${name}.color`)),
-      facts.features ? unpackedFeatures(facts.features, this.bytes(`${name}.features`)) : [],
+      unpackedMesh(facts, pageBytes(`${name}.mesh`)),
+      unpackedColor(pageBytes(`${name}.color`)),
+      facts.features ? unpackedFeatures(facts.features, pageBytes(`${name}.features`)) : [],
     ]);
     this.content.set(level, { mesh, color, features });
     return this.content.get(level);
@@ -143,10 +154,8 @@ class Drawing {
         gl.enableVertexAttribArray(place);
         tell(place);
       };
-      for (const [attribute, count, name] of ATTRIBUTES)
-        point(attribute, name, (place) => gl.vertexAttribPointer(place, count, gl.FLOAT, false, 0, 0));
-      point("view_q0", "view_q", (place) => gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 24, 0));
-      point("view_q1", "view_q", (place) => gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 24, 12));
+      for (const [attribute, count, name, step, first] of ATTRIBUTES)
+        point(attribute, name, (place) => gl.vertexAttribPointer(place, count, gl.FLOAT, false, step, first));
       point("joints", "joints", (place) => gl.vertexAttribIPointer(place, 4, gl.UNSIGNED_BYTE, 0, 0));
       point("weights", "weights", (place) => gl.vertexAttribPointer(place, 4, gl.UNSIGNED_BYTE, true, 0, 0));
       const faces = buffer("faces");
@@ -253,12 +262,26 @@ class Drawing {
     return into;
   }
 
-  // A frame of one sample a pixel, from one of several.
-  resolved(framebuffer, width, height, samples) {
-    if (!samples) return framebuffer;
-    const into = this.target(width, height, 0);
-    this.copy(framebuffer, into, [width, height], [width, height], this.gl.NEAREST);
-    return into;
+  // As many pixels as the canvas takes on the screen, or so many; whether these are others than before, and so all black.
+  fit(size = null) {
+    const { canvas } = this, box = canvas.getBoundingClientRect();
+    const [width, height] = size || drawnSize(Math.min(window.devicePixelRatio || 1, 2), box.width, box.height);
+    if (canvas.width === width && canvas.height === height) return false;
+    [canvas.width, canvas.height] = [width, height];
+    return true;
+  }
+
+  // A frame on the canvas; the framebuffer that holds it with one sample a pixel, and its size.
+  paint(pose, camera, rung, background, samples = 0) {
+    const [width, height] = drawnSize(rung.share, this.canvas.width, this.canvas.height), size = [width, height];
+    let into = this.frame(pose, camera, rung, width, height, background, samples);
+    if (samples) {
+      const several = into;
+      into = this.target(width, height, 0);
+      this.copy(several, into, size, size, this.gl.NEAREST);
+    }
+    this.show(into, width, height);
+    return { into, width, height };
   }
 
   // A frame of one sample a pixel on the canvas, enlarged to it where it is smaller.
@@ -296,9 +319,11 @@ class Drawing {
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   }
 
-  // Milliseconds of a frame: the median of groups of frames that each end when the last is drawn. poses turn by turn.
-  measure(poses, camera, rung, width, height, { groups = 5, atLeast = 30 } = {}) {
-    const background = [0, 0, 0], draw = (k) => this.frame(poses[k % poses.length], camera, rung, width, height, background);
+  // Milliseconds of a frame of a picture: the median of groups of frames that each end when the last is drawn. poses turn
+  // by turn.
+  measure(poses, camera, rung, picture, { groups, atLeast }) {
+    const size = drawnSize(rung.share, ...picture), black = [0, 0, 0];
+    const draw = (k) => this.frame(poses[k % poses.length], camera, rung, ...size, black);
     this.finish(draw(0));
     this.finish(draw(1));
     let count = 1, times = [];
@@ -313,6 +338,6 @@ class Drawing {
       else times.push(took / count);
     }
     times.sort((a, b) => a - b);
-    return { ms: times[times.length >> 1], low: times[0], high: times[times.length - 1], frames: count };
+    return times[times.length >> 1];
   }
 }

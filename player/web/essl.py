@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 
 from avatar.baked_avatar import Avatar
-from player.effects.avatar import STAGE
+from player.effects.avatar import STAGE, views_of
 from player.gl.constants import avatar_constants
 from player.gl.shader import ShaderError, assembled, names_in_conditions
 
@@ -63,16 +63,12 @@ def program(defines: Mapping[str, int], generated: Mapping[str, str]) -> dict[st
 
 def programs(avatar: Avatar) -> dict[str, dict[str, str]]:
     """A program for each view mode that the avatar's file holds, by its name (player/effects/avatar.py)."""
-    has = {"network": avatar.network is not None, "linear": avatar.linear is not None}
-    features = avatar.levels[0].features
+    features, constants = avatar.levels[0].features, avatar_constants(avatar)
     found = {"off": program({"VIEW_STAGE": 0}, {})}
     if features is None:
         return found
-    constants = avatar_constants(avatar)
-    for mode in ("vertex", "linear", "network"):
-        if not (any(has.values()) if mode == "vertex" else has[mode]):
-            continue
-        network = has["network"] if mode == "vertex" else mode == "network"
-        more = {"VIEW_STAGE": STAGE[mode], "VIEW_MODEL": int(network), "VIEW_FEATURES": features.shape[2]}
-        found[mode] = program(more, constants)
+    for view in reversed(views_of(avatar)[:-1]):
+        network = view == "network" or (view == "vertex" and avatar.network is not None)
+        more = {"VIEW_STAGE": STAGE[view], "VIEW_MODEL": int(network), "VIEW_FEATURES": features.shape[2]}
+        found[view] = program(more, constants)
     return found

@@ -13,7 +13,6 @@ are no image there: four values of which one would be an alpha channel, which de
 bytes, each the difference to Paeth's guess from its neighbours (as in PNG).
 """
 
-import base64
 import io
 import zlib
 from dataclasses import dataclass, replace
@@ -27,7 +26,6 @@ from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Clip
 from avatar.rotation import quaternion_from_axis_angle
 from avatar.skeleton import PARENTS, joint_transforms, rigid_inverse
-from avatar.texture import mip_levels
 from player.draw.mesh import draw_order, interleaved
 from player.draw.posing import Poser
 
@@ -56,7 +54,6 @@ def packed_avatar(avatar: Avatar) -> Packed:
     levels = [packed_level(avatar, number) for number in range(len(avatar.levels))]
     facts = {
         "name": avatar.name,
-        "defaultView": avatar.default_view,
         "parents": PARENTS.tolist(),
         # each joint from its parent, pose 0
         "offsets": (joints - np.where(PARENTS[:, None] < 0, 0.0, joints[PARENTS])).round(7).tolist(),
@@ -81,7 +78,7 @@ def packed_level(avatar: Avatar, number: int) -> Packed:
         _range("view_seen", level.view_seen[order][:, None], COARSE),
         _bytes("joints", skin["joints"]),
         _bytes("weights", skin["weights"]),
-        _indices("faces", faces),
+        ("faces", {"kind": "indices", "count": faces.size}, _differences(faces.reshape(-1, 1).astype(np.int64), 4)),
     ]
     blobs = {f"{named}.mesh": zlib.compress(b"".join(data for _, _, data in arrays), 9)}
     blobs[f"{named}.color"] = lossless_webp(level.base_color)
@@ -90,13 +87,13 @@ def packed_level(avatar: Avatar, number: int) -> Packed:
         "triangles": len(faces),
         "arrays": [{"name": name, **how} for name, how, _ in arrays],
         "radii": Poser(avatar, level).radii.round(6).tolist(),
-        "color": {"size": list(level.base_color.shape[1::-1]), "mips": mip_levels(level.base_color.shape)},
+        "color": {"size": list(level.base_color.shape[1::-1])},
         "features": None,
     }
     if level.features is not None:
         blobs[f"{named}.features"] = zlib.compress(paeth(level.features), 9)
         height, width, planes = level.features.shape
-        facts["features"] = {"size": [width, height], "planes": planes, "mips": mip_levels(level.features.shape)}
+        facts["features"] = {"size": [width, height], "planes": planes}
     return Packed(facts, blobs)
 
 
@@ -149,30 +146,11 @@ def _bytes(name: str, values: UInt8[np.ndarray, "n components"]) -> tuple[str, d
     return name, {"kind": "bytes", "components": values.shape[1]}, np.ascontiguousarray(values.T).tobytes()
 
 
-def _indices(name: str, faces: np.ndarray) -> tuple[str, dict[str, Any], bytes]:
-    """Differences of 32 bits, in the order of drawing."""
-    flat = faces.reshape(-1).astype(np.int64)
-    return name, {"kind": "indices", "components": 1, "count": len(flat)}, _planes(_zigzag(np.diff(flat, prepend=0)), 4)
-
-
 def _differences(steps: Int[np.ndarray, "n components"], width: int) -> bytes:
     """Differences along the first axis, of so many bytes, component by component."""
     whole = 256**width
     # modulo the range, to the nearer side
     change = (np.diff(steps, axis=0, prepend=0) + whole // 2) % whole - whole // 2
-    return _planes(_zigzag(change).T.reshape(-1), width)
-
-
-def _planes(values: Int[np.ndarray, "n"], width: int) -> bytes:
-    """All lowest bytes, then the next ones: what is small compresses."""
-    planes = np.ascontiguousarray(values.astype("<u4")).view(np.uint8).reshape(-1, 4).T[:width]
-    return np.ascontiguousarray(planes).tobytes()
-
-
-def _zigzag(change: Int[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
-    return (change << 1) ^ (change >> 63)
-
-
-def text_of(blob: bytes) -> str:
-    """Bytes as a page holds them."""
-    return base64.b64encode(blob).decode("ascii")
+    zigzag = ((change << 1) ^ (change >> 63)).T.reshape(-1)
+    # all lowest bytes, then the next ones: what is small compresses
+    return zigzag.astype("<u4").view(np.uint8).reshape(-1, 4).T[:width].tobytes()

@@ -1,7 +1,9 @@
 """The page of an avatar as text: bytes, shaders, viewer, and a policy that lets it ask no one for anything."""
 
+import base64
 import html
 import json
+import re
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
@@ -12,7 +14,7 @@ from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Clip
 from player.scene.framing import ELEVATION, FOV, extent, facing, fitted
 from player.web.essl import programs
-from player.web.packing import Packed, packed_avatar, packed_motion, text_of
+from player.web.packing import Packed, packed_avatar, packed_motion
 
 # what browsers enforce: nothing is fetched, sent, embedded or submitted
 POLICY = (
@@ -20,25 +22,16 @@ POLICY = (
     "base-uri 'none'; form-action 'none'"
 )
 # in this order, one script
-DRAWING = ("unpack.js", "posing.js", "drawing.js", "orbit.js")
+DRAWING = ("page.js", "unpack.js", "posing.js", "drawing.js", "orbit.js")
 # a page for everyone's mail and phone
 MOST_BYTES = 12_000_000
-
-
-def page_text(name: str) -> str:
-    """A file beside this one."""
-    return (files("player.web") / name).read_text("utf-8")
-
-
-def script_of(names: Sequence[str]) -> str:
-    """Files beside this one as one script."""
-    return "\n".join(page_text(name) for name in names)
 
 
 def blob_elements(blobs: Mapping[str, bytes]) -> str:
     """Bytes that a script of the page reads by name."""
     return "\n".join(
-        f'<script type="text/plain" id="{name}">{text_of(blob)}</script>' for name, blob in sorted(blobs.items())
+        f'<script type="text/plain" id="{name}">{base64.b64encode(blob).decode("ascii")}</script>'
+        for name, blob in sorted(blobs.items())
     )
 
 
@@ -49,17 +42,19 @@ def json_element(content: Any) -> str:
 
 def filled(template: str, parts: Mapping[str, str]) -> str:
     """The template with @NAME@ replaced by each part; a part's own text is not looked at again."""
-    pieces = template.split("@")
-    # words between two @ that are no part stay as they are
-    out, k = [pieces[0]], 1
-    while k < len(pieces):
-        if pieces[k] in parts and k + 1 < len(pieces):
-            out += [parts[pieces[k]], pieces[k + 1]]
-            k += 2
-        else:
-            out += ["@", pieces[k]]
-            k += 1
-    return "".join(out)
+    return re.sub(f"@({'|'.join(parts)})@", lambda found: parts[found[1]], template)
+
+
+def page_of(package: str, scripts: Sequence[str], title: str, blobs: Mapping[str, bytes], facts: Any) -> str:
+    """A page that draws avatars: body.html, page.css and scripts of a package, and the bytes and facts they read."""
+    drawing, own = ["frame.html", *DRAWING], ["body.html", "page.css", *scripts]
+    frame, *shared = ((files("player.web") / name).read_text("utf-8") for name in drawing)
+    body, style, *more = ((files(package) / name).read_text("utf-8") for name in own)
+    parts = {
+        "POLICY": POLICY, "TITLE": html.escape(title), "STYLE": style, "BLOBS": blob_elements(blobs),
+        "FACTS": json_element(facts), "SCRIPT": "\n".join([*shared, *more]),
+    }  # fmt: skip
+    return filled(frame.replace("@BODY@", body), parts)
 
 
 def first_camera(avatar: Avatar, clip: Clip) -> dict[str, Any]:
@@ -72,30 +67,21 @@ def first_camera(avatar: Avatar, clip: Clip) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def viewer_facts(avatar: Avatar, packed: Packed, motion: Packed, clip: Clip) -> dict[str, Any]:
-    """What viewer.js must know."""
-    return {
+def packed_player(avatar: Avatar, clip: Clip) -> Packed:
+    """An avatar in motion: what a page must know to draw it, and its bytes."""
+    packed, motion = packed_avatar(avatar), packed_motion(clip)
+    facts = {
         "avatar": packed.facts,
         "motion": motion.facts,
         "view": avatar.default_view,
         "camera": first_camera(avatar, clip),
         "programs": programs(avatar),
     }
+    return Packed(facts, {**packed.blobs, **motion.blobs})
 
 
 def avatar_page(avatar: Avatar, clip: Clip, title: str) -> tuple[str, dict[str, int]]:
     """The page, and the bytes of what is in it."""
-    packed, motion = packed_avatar(avatar), packed_motion(clip)
-    blobs = {**packed.blobs, **motion.blobs}
-    text = filled(
-        page_text("page.html"),
-        {
-            "POLICY": POLICY,
-            "TITLE": html.escape(title),
-            "STYLE": page_text("page.css"),
-            "BLOBS": blob_elements(blobs),
-            "FACTS": json_element(viewer_facts(avatar, packed, motion, clip)),
-            "SCRIPT": script_of((*DRAWING, "viewer.js")) + "\nview().catch(failed);\n",
-        },
-    )
-    return text, {name: len(blob) for name, blob in blobs.items()}
+    player = packed_player(avatar, clip)
+    text = page_of("player.web", ["viewer.js"], title, player.blobs, player.facts)
+    return text, {name: len(blob) for name, blob in player.blobs.items()}

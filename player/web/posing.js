@@ -32,13 +32,11 @@ function quaternion(m) {
 
 // The pose at a moment of the motion, between two frames where it falls there.
 function poseAt(motion, frame) {
-  const i = Math.min(Math.max(Math.floor(frame + 1e-6), 0), motion.frames - 1);
-  const t = i + 1 < motion.frames ? Math.min(Math.max(frame - i, 0), 1) : 0, s = t < 1e-6 ? 0 : t;
-  const q = new Float64Array(208), place = new Float64Array(3);
-  for (let k = 0; k < 208; k++) q[k] = (1 - s) * motion.q[208 * i + k] + (s ? s * motion.q[208 * (i + 1) + k] : 0);
-  for (let k = 0; k < 3; k++)
-    place[k] = (1 - s) * motion.places[3 * i + k] + (s ? s * motion.places[3 * (i + 1) + k] : 0);
-  return { q, place };
+  const i = limited(Math.floor(frame + 1e-6), 0, motion.frames - 1);
+  const t = i + 1 < motion.frames ? limited(frame - i, 0, 1) : 0, s = t < 1e-6 ? 0 : t;
+  const mixed = (values, size) => Float64Array.from({ length: size }, (_, k) =>
+    (1 - s) * values[size * i + k] + (s ? s * values[size * (i + 1) + k] : 0));
+  return { q: mixed(motion.q, 208), place: mixed(motion.places, 3) };
 }
 
 // Bones as the shaders take them: rows of view_from_canonical, its quaternions; joints in view space.

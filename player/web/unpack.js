@@ -18,10 +18,11 @@ async function inflated(bytes) {
 // Sums of differences, modulo what `width` bytes hold: component by component, all lowest bytes first.
 function summed(bytes, start, count, components, width) {
   const total = count * components, out = new Uint32Array(total), most = 2 ** (8 * width) - 1;
+  const part = (at, k) => (k < width ? bytes[at + k * total] << (8 * k) : 0);
   for (let c = 0, at = start; c < components; c++) {
     let value = 0;
     for (let i = 0; i < count; i++, at++) {
-      const z = bytes[at] | (bytes[at + total] << 8) | (width > 2 ? bytes[at + 2 * total] << 16 : 0);
+      const z = bytes[at] | part(at, 1) | part(at, 2) | part(at, 3);
       value = (value + ((z >>> 1) ^ -(z & 1))) & most;
       out[i * components + c] = value;
     }
@@ -37,16 +38,7 @@ function half(bits) {
 // An array by its facts, and where the next one begins.
 function unpackedArray(bytes, start, how, vertices, Array_ = Float32Array) {
   const { kind, components } = how, total = vertices * components;
-  if (kind === "indices") {
-    const out = new Uint32Array(how.count);
-    let value = 0;
-    for (let i = 0, n = how.count; i < n; i++) {
-      const z = bytes[start + i] | (bytes[start + n + i] << 8) | (bytes[start + 2 * n + i] << 16)
-        | (bytes[start + 3 * n + i] << 24);
-      out[i] = value += (z >>> 1) ^ -(z & 1);
-    }
-    return [out, start + 4 * how.count];
-  }
+  if (kind === "indices") return [summed(bytes, start, how.count, 1, 4), start + 4 * how.count];
   if (kind === "bytes") {
     const out = new Uint8Array(total);
     for (let c = 0, at = start; c < components; c++)
@@ -98,8 +90,8 @@ function unpackedColor(bytes) {
 }
 
 // Quaternions (208 numbers a frame) and places (3) of a motion.
-async function unpackedMotion(facts, bytes) {
-  const data = await inflated(bytes), { frames, rate, turns, root } = facts;
+async function unpackedMotion({ frames, rate, turns, root }) {
+  const data = await inflated(pageBytes("motion"));
   const [q, next] = unpackedArray(data, 0, turns, frames, Float64Array);
   const [places] = unpackedArray(data, next, root, frames, Float64Array);
   return { frames, rate, q, places };

@@ -8,27 +8,27 @@ const VIEW_HELP = {
   network: "View dependence per pixel, a small network",
 };
 const BACKGROUND = [43 / 255, 45 / 255, 51 / 255];
-const find = (id) => document.getElementById(id);
+// settings that a URL can hold: numbers with their usual value, least, most and step (0: any), and switches, usually on
+const NUMBERS = {
+  level: [0, 0, 99, 1], share: [1, 0.25, 1, 0], halvings: [0, 0, 3, 1], joints: [4, 1, 4, 1], speed: [1, 0.1, 4, 0],
+};
+const SWITCHES = ["edges", "play", "bar"];
 
-// Settings that a URL can hold, short names for links: its default, as text.
 function readSettings(home, avatar) {
   const given = new URLSearchParams(location.hash.slice(1));
   const number = (name, usual) => {
     const value = given.has(name) ? Number(given.get(name)) : usual;
     return Number.isFinite(value) ? value : usual;
   };
-  const size = /^(\d{1,4})x(\d{1,4})$/.exec(given.get("size") || "");
+  const size = /^(\d{1,4})x(\d{1,4})$/.exec(given.get("size") || ""), settings = {};
+  for (const [name, [usual, least, most, step]] of Object.entries(NUMBERS))
+    settings[name] = limited(step ? Math.round(number(name, usual)) : number(name, usual), least, most);
+  for (const name of SWITCHES) settings[name] = given.get(name) !== "0";
   return {
+    ...settings,
     view: given.get("view") in VIEW_NAMES ? given.get("view") : null,
-    level: limited(Math.round(number("level", 0)), 0, avatar.levels.length - 1),
-    share: limited(number("share", 1), 0.25, 1),
-    halvings: limited(Math.round(number("halvings", 0)), 0, 3),
-    joints: limited(Math.round(number("joints", 4)), 1, 4),
-    edges: given.get("edges") !== "0",
-    play: given.get("play") !== "0",
+    level: Math.min(settings.level, avatar.levels.length - 1),
     frame: Math.max(number("frame", 0), 0),
-    speed: limited(number("speed", 1), 0.1, 4),
-    bar: given.get("bar") !== "0",
     size: size && [Number(size[1]), Number(size[2])],
     camera: {
       target: ["x", "y", "z"].map((name, k) => number(name, home.target[k])),
@@ -43,11 +43,11 @@ function readSettings(home, avatar) {
 }
 
 class Viewer {
-  constructor(facts, programs, motion, bytes) {
+  constructor(facts) {
     this.canvas = find("canvas");
     this.facts = facts;
     this.settings = readSettings(facts.camera, facts.avatar);
-    this.drawing = new Drawing(this.canvas, facts.avatar, programs, bytes);
+    this.drawing = new Drawing(this.canvas, facts, () => { this.dirty = true; });
     this.orbit = new Orbit(this.canvas, facts.camera, () => {
       this.dirty = true;
       this.remember();
@@ -55,19 +55,15 @@ class Viewer {
     Object.assign(this.orbit, { own: this.settings.camera, fitted: this.settings.fitted });
     const { views } = this.drawing, settings = this.settings;
     if (!views.includes(settings.view)) settings.view = views.includes(facts.view) ? facts.view : "off";
-    this.motionFacts = motion;
     this.dirty = true;
     this.last = null;
-    this.errors = [];
   }
 
   // The coarsest level is there first: a picture while the rest is unpacked.
   async start() {
     const { drawing, settings } = this, { timing } = drawing, coarsest = this.facts.avatar.levels.length - 1;
     const wanted = settings.level;
-    const [motion] = await Promise.all([
-      unpackedMotion(this.motionFacts, drawing.bytes("motion")), drawing.load(coarsest),
-    ]);
+    const [motion] = await Promise.all([unpackedMotion(this.facts.motion), drawing.load(coarsest)]);
     this.motion = motion;
     settings.frame = Math.min(settings.frame, motion.frames - 1);
     if (motion.frames === 1) settings.play = false;
@@ -95,14 +91,8 @@ class Viewer {
   }
 
   get rung() {
-    const { view, level, halvings, joints } = this.settings;
-    return { view, level, halvings, joints };
-  }
-
-  // Pixels of the canvas, and those drawn.
-  get pixels() {
-    const { share } = this.settings, { width, height } = this.canvas;
-    return [Math.max(1, Math.round(width * share)), Math.max(1, Math.round(height * share))];
+    const { view, level, halvings, joints, share } = this.settings;
+    return { view, level, halvings, joints, share };
   }
 
   get camera() {
@@ -110,25 +100,19 @@ class Viewer {
   }
 
   resize() {
-    const { size } = this.settings, density = Math.min(window.devicePixelRatio || 1, 2);
-    const box = this.canvas.getBoundingClientRect();
-    const [width, height] = size || [Math.round(box.width * density), Math.round(box.height * density)];
+    const { size } = this.settings;
     this.canvas.classList.toggle("fixed", Boolean(size));
-    if (size) Object.assign(this.canvas.style, { width: `${width}px`, height: `${height}px` });
-    if (this.canvas.width !== width || this.canvas.height !== height) {
-      this.canvas.width = Math.max(width, 1);
-      this.canvas.height = Math.max(height, 1);
-      this.dirty = true;
-    }
+    if (size) Object.assign(this.canvas.style, { width: `${size[0]}px`, height: `${size[1]}px` });
+    // at once: until it is drawn anew it is black
+    if (this.drawing.fit(size)) this.draw();
   }
 
   draw() {
-    const { drawing, settings } = this, [width, height] = this.pixels;
+    const { drawing, settings } = this;
+    this.dirty = true;
     if (drawing.gl.isContextLost() || !drawing.loaded(settings.level)) return;
     const samples = settings.edges ? drawing.samples : 0, pose = poseAt(this.motion, settings.frame);
-    const drawn = drawing.frame(pose, this.camera, this.rung, width, height, BACKGROUND, samples);
-    this.shown = { into: drawing.resolved(drawn, width, height, samples), width, height };
-    drawing.show(this.shown.into, width, height);
+    this.shown = drawing.paint(pose, this.camera, this.rung, BACKGROUND, samples);
     this.dirty = false;
   }
 
@@ -163,13 +147,7 @@ class Viewer {
   }
 
   controls() {
-    const { canvas } = this;
-    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    canvas.addEventListener("webglcontextrestored", () => {
-      this.drawing.begin();
-      this.dirty = true;
-    });
-    new ResizeObserver(() => this.resize()).observe(canvas);
+    new ResizeObserver(() => this.resize()).observe(this.canvas);
     window.addEventListener("keydown", (event) => this.key(event));
     this.buttons();
   }
@@ -238,51 +216,36 @@ class Viewer {
   // What a frame of these settings costs on this device.
   price() {
     if (document.hidden || this.drawing.gl.isContextLost()) return;
-    const [width, height] = this.pixels, poses = [poseAt(this.motion, this.settings.frame)];
-    const { ms } = this.drawing.measure(poses, this.camera, this.rung, width, height, { groups: 3, atLeast: 10 });
+    const { width, height } = this.canvas, poses = [poseAt(this.motion, this.settings.frame)];
+    const ms = this.drawing.measure(poses, this.camera, this.rung, [width, height], { groups: 3, atLeast: 10 });
     this.drawing.timing.ms = ms;
     find("price").textContent = `${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame here`;
     this.dirty = true;
   }
 
-  // The URL of what is shown. A page from a file may not always change its own.
+  // The URL of what is shown.
   remember() {
-    clearTimeout(this.writing);
-    this.writing = setTimeout(() => {
+    remember(() => {
       const { settings, orbit } = this, { target, distance, azimuth, elevation } = orbit.own;
       const words = { view: settings.view };
-      if (settings.level) words.level = settings.level;
-      if (settings.halvings) words.halvings = settings.halvings;
-      if (settings.joints !== 4) words.joints = settings.joints;
-      if (settings.share !== 1) words.share = settings.share;
-      if (!settings.edges) words.edges = 0;
-      if (!settings.bar) words.bar = 0;
+      for (const [name, [usual]] of Object.entries(NUMBERS)) if (settings[name] !== usual) words[name] = settings[name];
+      for (const name of SWITCHES) if (!settings[name]) words[name] = 0;
       if (settings.size) words.size = settings.size.join("x");
-      if (!settings.play) Object.assign(words, { play: 0, frame: Math.round(settings.frame * 100) / 100 });
+      if (!settings.play) words.frame = Math.round(settings.frame * 100) / 100;
       if (!orbit.fitted) {
         const [x, y, z] = target, camera = { distance, azimuth, elevation, x, y, z };
         for (const [name, value] of Object.entries(camera)) words[name] = Math.round(value * 1e4) / 1e4;
       }
-      try {
-        history.replaceState(null, "", `#${new URLSearchParams(words)}`);
-      } catch {
-        this.link = words;
-      }
-    }, 300);
+      return words;
+    });
   }
 }
 
-function failed(error) {
-  const text = error && error.message ? error.message : String(error);
-  find("failure").textContent = text;
-  document.body.classList.add("failed");
-}
-
 async function view() {
-  const facts = JSON.parse(find("page-facts").textContent);
-  const viewer = new Viewer(facts, facts.programs, facts.motion, pageBytes);
+  const viewer = new Viewer(JSON.parse(find("page-facts").textContent));
   // for whoever embeds the page, and for tests
   window.selfscan = viewer;
   await viewer.start();
-  return viewer;
 }
+
+view().catch(failed);

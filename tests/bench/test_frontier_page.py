@@ -172,7 +172,8 @@ def test_several_samples_a_pixel_are_shown_as_their_mean(tab):
       const across = 4 * width, down = 4 * height;
       rung.share = 4;
       selfscan.player.draw();
-      const shown = drawing.pixels(null, width, height), drawn = drawing.pixels(selfscan.player.shown, across, down);
+      const { into } = selfscan.player.shown;
+      const shown = drawing.pixels(null, width, height), drawn = drawing.pixels(into, across, down);
       let worst = 0, lit = 0;
       for (let y = 0; y < height; y++)
         for (let x = 0; x < width; x++) {

@@ -105,7 +105,7 @@ def test_auto_is_per_vertex_on_software_and_the_files_own_on_a_gpu(avatar):
 
 
 def test_a_view_mode_the_avatar_lacks_is_refused(avatar):
-    with pytest.raises(ValueError, match="view network is not in avatar mannequin male; it has off, linear"):
+    with pytest.raises(ValueError, match="view network is not in avatar mannequin male; it has linear, vertex, off"):
         planned(replace(avatar, network=None), "network")
     with pytest.raises(ValueError, match="'shiny'"):
         planned(avatar, "shiny")

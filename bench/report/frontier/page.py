@@ -1,10 +1,8 @@
 """The page of accuracy against time: rows, the same frame in each rung, and the avatar itself, to be drawn there."""
 
-import html
 import io
 from collections.abc import Sequence
 from dataclasses import asdict
-from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
@@ -17,17 +15,7 @@ from bench.report.rung_page import RUNG_COLUMNS
 from bench.report.writer import Json
 from player.budget.rung import Rung, with_halved_textures
 from player.scene.motions import motion_for
-from player.web.packing import packed_avatar, packed_motion
-from player.web.page import (
-    DRAWING,
-    MOST_BYTES,
-    POLICY,
-    blob_elements,
-    filled,
-    json_element,
-    script_of,
-    viewer_facts,
-)
+from player.web.page import MOST_BYTES, packed_player, page_of
 
 # a difference is shown so many times larger
 ENLARGED = 8
@@ -62,32 +50,17 @@ def frontier_page(result: Json, pictures: PagePictures, avatar: Avatar, rungs: S
     }
     text = _text(result, facts, blobs)
     clip = motion_for(avatar, "counting").read(0, CLIP_FRAMES)
-    motion = packed_motion(clip)
     for halvings in range(MOST_HALVINGS + 1):
-        smaller = with_halved_textures(avatar, halvings)
-        packed = packed_avatar(smaller)
-        if len(text) + (packed.bytes + motion.bytes) * 4 / 3 < MOST_BYTES - 200_000:
-            player = viewer_facts(smaller, packed, motion, clip)
-            return _text(result, {**facts, "player": player, "halvings": halvings},
-                         {**blobs, **packed.blobs, **motion.blobs})  # fmt: skip
+        player = packed_player(with_halved_textures(avatar, halvings), clip)
+        if len(text) + player.bytes * 4 / 3 < MOST_BYTES - 200_000:
+            facts |= {"player": player.facts, "halvings": halvings}
+            return _text(result, facts, {**blobs, **player.blobs})
     return text
 
 
 def _text(result: Json, facts: Json, blobs: dict[str, bytes]) -> str:
-    own = {name: (files("bench.report.frontier") / name).read_text("utf-8") for name in
-           ("page.html", "page.css", "chart.js", "report.js")}  # fmt: skip
-    script = "\n".join((script_of(DRAWING), own["chart.js"], own["report.js"]))
-    return filled(
-        own["page.html"],
-        {
-            "POLICY": POLICY,
-            "TITLE": html.escape(f"{result['avatar']}: what accuracy costs in time"),
-            "STYLE": own["page.css"],
-            "BLOBS": blob_elements(blobs),
-            "FACTS": json_element(facts),
-            "SCRIPT": script,
-        },
-    )
+    title = f"{result['avatar']}: what accuracy costs in time"
+    return page_of("bench.report.frontier", ["chart.js", "report.js"], title, blobs, facts)
 
 
 def drawn_by(rung: Rung | None) -> Json | None:

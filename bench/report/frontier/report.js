@@ -1,7 +1,6 @@
 // The page of accuracy against time: a budget, what it buys, the same frame in each rung, and the avatar drawn and timed
 // on the reader's own device.
 
-const find = (id) => document.getElementById(id);
 const BACKGROUND = [0, 0, 0];
 const PARTS = { whole: "person", head: "head", hands: "hands" };
 // how FLIP is put into words: our own scale, told below the table
@@ -252,15 +251,7 @@ class Report {
   }
 
   remember() {
-    clearTimeout(this.writing);
-    this.writing = setTimeout(() => {
-      const words = new URLSearchParams({ budget: this.budget.toPrecision(3), part: this.part, with: this.reference.key });
-      try {
-        history.replaceState(null, "", `#${words}`);
-      } catch {
-        // a page from a file may not always change its own address
-      }
-    }, 300);
+    remember(() => ({ budget: this.budget.toPrecision(3), part: this.part, with: this.reference.key }));
   }
 }
 
@@ -268,18 +259,16 @@ class Report {
 class Player {
   constructor(facts, report) {
     this.canvas = find("canvas");
-    this.drawing = new Drawing(this.canvas, facts.avatar, facts.programs, pageBytes);
+    this.drawing = new Drawing(this.canvas, facts);
     Object.assign(this, { facts, report, rung: null, frame: 0, last: null });
     this.orbit = new Orbit(this.canvas, facts.camera, () => {});
-    this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    this.canvas.addEventListener("webglcontextrestored", () => this.drawing.begin());
   }
 
   async start() {
-    this.motion = await unpackedMotion(this.facts.motion, this.drawing.bytes("motion"));
+    this.motion = await unpackedMotion(this.facts.motion);
     await this.choose(this.report.row.draw || this.report.all.find((row) => row.draw).draw);
     this.draw();
-    this.drawing.finish(this.shown);
+    this.drawing.finish(this.shown.into);
     this.drawing.timing.page = performance.now();
     requestAnimationFrame((now) => this.tick(now));
   }
@@ -291,12 +280,8 @@ class Player {
   }
 
   draw() {
-    const density = Math.min(window.devicePixelRatio || 1, 2), box = this.canvas.getBoundingClientRect();
-    const size = [Math.max(1, Math.round(box.width * density)), Math.max(1, Math.round(box.height * density))];
-    if (this.canvas.width !== size[0] || this.canvas.height !== size[1]) [this.canvas.width, this.canvas.height] = size;
-    const [width, height] = size.map((side) => Math.max(1, Math.round(side * this.rung.share)));
-    this.shown = this.drawing.frame(poseAt(this.motion, this.frame), this.orbit.camera, this.rung, width, height, BACKGROUND);
-    this.drawing.show(this.shown, width, height);
+    this.drawing.fit();
+    this.shown = this.drawing.paint(poseAt(this.motion, this.frame), this.orbit.camera, this.rung, BACKGROUND);
   }
 
   tick(now) {
@@ -310,15 +295,14 @@ class Player {
   // Time every baked rung on this device, a slice between frames at a time, in alternating rounds.
   async measure(rounds = 5) {
     const { report, drawing, facts, motion } = this, rows = report.facts.result.rungs.filter((row) => row.draw), times = new Map();
-    const [width, height] = report.facts.result.size, pause = () => new Promise((done) => setTimeout(done, 20));
+    const { size } = report.facts.result, pause = () => new Promise((done) => setTimeout(done, 20));
     const poses = [0.2, 0.4, 0.6, 0.8].map((share) => poseAt(motion, Math.floor(share * (motion.frames - 1))));
     let done = 0;
     for (let round = 0; round < rounds; round++)
       for (const row of rows) {
         await drawing.load(row.draw.level);
         await pause();
-        const [across, down] = [width, height].map((side) => Math.max(1, Math.round(side * row.draw.share)));
-        const { ms } = drawing.measure(poses, facts.camera, row.draw, across, down, { groups: 1, atLeast: 8 });
+        const ms = drawing.measure(poses, facts.camera, row.draw, size, { groups: 1, atLeast: 8 });
         times.set(row.name, [...(times.get(row.name) || []), ms]);
         find("state").textContent = `timing every rung on your device: ${Math.round((100 * ++done) / (rounds * rows.length))} %`;
       }
@@ -326,15 +310,10 @@ class Player {
       list.sort((a, b) => a - b);
       report.here.set(name, { ms: list[list.length >> 1], low: list[0], high: list[list.length - 1] });
     }
-    find("state").textContent = `timed on your device: ${drawing.renderer}, ${width} x ${height}`;
+    find("state").textContent = `timed on your device: ${drawing.renderer}, ${size.join(" x ")}`;
     find("here").disabled = false;
     report.show("here");
   }
-}
-
-function failed(error) {
-  find("failure").textContent = error && error.message ? error.message : String(error);
-  document.body.classList.add("failed");
 }
 
 async function main() {
