@@ -85,9 +85,14 @@ def orbit_camera(
     fov: float | int = 0.61,  # radians; 35 degrees
 ) -> Camera:
     """Camera on a sphere round `target`; azimuth 0 looks at the chest (from +z), growing towards +x; radians."""
-    direction = np.array([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)])
     target = np.asarray(target, np.float64)
-    return Camera(pinhole(size, fov), look_at(target + distance * direction, target), size)
+    return Camera(pinhole(size, fov), look_at(target + distance * direction(azimuth, elevation), target), size)
+
+
+def direction(azimuth: float | int, elevation: float | int) -> Float[Array, "3"]:
+    """Unit vector; azimuth 0 is +z, growing towards +x; radians."""
+    flat = np.cos(elevation)
+    return np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
 
 
 def project(camera: Camera, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n 2"], Float[Array, "n"]]:

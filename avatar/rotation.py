@@ -153,6 +153,11 @@ def rotation_part_way(
     return matrix_from_quaternion(slerp(quaternion_from_matrix(a), quaternion_from_matrix(b), part))
 
 
+def between(a: Float[Array, "*b 3"], b: Float[Array, "*b 3"], part: Float[Array, "*b"] | float) -> Float[Array, "*b 3"]:
+    """The vector of the rotation a share `part` of the way from a to b, on the shorter arc."""
+    return axis_angle_from_quaternion(slerp(quaternion_from_axis_angle(a), quaternion_from_axis_angle(b), part))
+
+
 def nearest_axis_angle(axis_angle: Float[Array, "*b 3"], reference: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """The vector of the same rotation that lies closest to `reference` (v + 2 pi n axis).
 

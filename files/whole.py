@@ -198,7 +198,7 @@ def _unfinished_in(parent: Path, *, folder: bool) -> Iterator[Path]:
             if fcntl is None:
                 os.close(handle)
                 handle = None
-        if handle is None or (_lock(handle) is not False and name.exists()):
+        if handle is None or (locked(handle) is not False and name.exists()):
             break
         # another process took it for a leftover in the moment before the lock
         os.close(handle)
@@ -213,7 +213,7 @@ def _unfinished_in(parent: Path, *, folder: bool) -> Iterator[Path]:
             os.close(handle)
 
 
-def _lock(handle: int) -> bool | None:
+def locked(handle: int) -> bool | None:
     """Lock an open file; False: another process has it locked; None: there are no locks here."""
     if fcntl is None:
         return None
@@ -237,7 +237,7 @@ def _remove_leftovers(parent: Path) -> None:
             handle = os.open(parent / name, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
             try:
                 status = os.fstat(handle)
-                if status.st_uid == os.geteuid() and _lock(handle):
+                if status.st_uid == os.geteuid() and locked(handle):
                     if stat.S_ISDIR(status.st_mode):
                         shutil.rmtree(parent / name)
                     elif stat.S_ISREG(status.st_mode):

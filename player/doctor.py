@@ -17,7 +17,7 @@ from jaxtyping import UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, orbit_camera
 from command.errors import AssetError
-from player.gl.context import Context, Egl, EglDevice, NoContextError, _library, open_context
+from player.gl.context import Egl, EglDevice, NoContextError, _library, open_context
 
 # what lacks when a library does not load: its package on Debian and Ubuntu, Fedora, Arch; what it is for
 IN_MEMORY = "drawing in memory alone (gone from Mesa 25.1 on; optional where EGL works)"
@@ -279,29 +279,22 @@ def _off_screen(kind: str, avatar: Avatar, views: Sequence[str], camera: Camera)
 
 
 def _in_window(avatar: Avatar, views: Sequence[str], camera: Camera, *, null: bool) -> list[DrawnFrame]:
-    import glfw
-
     from player.scene.renderer import Renderer
-    from player.window.screen import ScreenReader, open_window, window_context
+    from player.window.screen import Screen
 
-    glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_NULL if null else glfw.ANY_PLATFORM)
-    window = open_window(camera.size, null)
+    screen = Screen(camera.size, null=null)
     try:
-        size = glfw.get_framebuffer_size(window)
-        if tuple(size) != camera.size:
-            raise AssetError(f"the window has {size[0]}x{size[1]} pixels, asked for {camera.size[0]}x{camera.size[1]}")
-        context: Context = window_context(window, null)
-        reader, out = ScreenReader(context), []
+        (wide, high), (width, height), out = screen.size, camera.size, []
+        if screen.size != camera.size:
+            raise AssetError(f"the window has {wide}x{high} pixels, asked for {width}x{height}")
         for view in views:
-            renderer = Renderer(context, [avatar], None, view=view)
-            renderer.draw_into(context.screen(), [_pose()], camera)
-            out.append(DrawnFrame(reader.read((0, 0, *camera.size), camera.size), context.renderer))
+            renderer = Renderer(screen.context, [avatar], None, view=view)
+            renderer.draw_into(screen.begin(), [_pose()], camera)
+            out.append(DrawnFrame(screen.read((0, 0, width, height)), screen.context.renderer))
             renderer.release()
-        context.release()
         return out
     finally:
-        glfw.destroy_window(window)
-        glfw.terminate()
+        screen.close()
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> tuple[int, float]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from command.errors import AssetError
 from files.input_file import read_json_object
-from files.whole import check_folder, write_json
+from files.whole import check_folder, locked, write_json
 
 FILE = "session.json"
 
@@ -62,27 +62,21 @@ def exclusive_lock(out: Path) -> Iterator[None]:
     Raises:
         AssetError: another process is at it, or the folder cannot be written to.
     """
-    try:
-        import fcntl
-    except ModuleNotFoundError:  # Windows
-        yield
-        return
     path = out.with_name(f".{out.name}.lock")
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         raise AssetError(f"{path}: cannot be written: {error.strerror}") from None
     try:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            who = os.pread(file, 20, 0).decode("ascii", "replace").strip() or "unknown"
-            raise AssetError(f"{out}: process {who} is training into it; wait for it, or choose another -o") from None
-        except OSError:  # a file system without locks
+        held = locked(file)
+        if held is None:  # no locks here
             yield
             return
+        if not held:
+            who = os.read(file, 20).decode("ascii", "replace").strip() or "unknown"
+            raise AssetError(f"{out}: process {who} is training into it; wait for it, or choose another -o")
         os.ftruncate(file, 0)
-        os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+        os.write(file, f"{os.getpid()}\n".encode())
         try:
             yield
         finally:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from avatar.body import Body, builtin_body
-from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+from avatar.rotation import between
 from command.errors import AssetError
 
 Array = np.ndarray
@@ -127,8 +127,7 @@ def resample(clip: Clip, rate: float | int) -> Clip:
     time = np.minimum(np.arange(new) * (clip.rate / rate), count - 1)
     before = np.minimum(time.astype(np.int64), count - 2)
     part = time - before
-    q = quaternion_from_axis_angle(clip.axis_angle)
-    joints = axis_angle_from_quaternion(slerp(q[before], q[before + 1], np.repeat(part[:, None], 52, 1)))
+    joints = between(clip.axis_angle[before], clip.axis_angle[before + 1], np.repeat(part[:, None], 52, 1))
     root = clip.root[before] + part[:, None] * (clip.root[before + 1] - clip.root[before])
     return replace(clip, axis_angle=joints, root=root, rate=rate)
 

@@ -21,7 +21,6 @@ from command.errors import AssetError
 from command.settings import AtLeast, AtMost
 from player.live import json_pose
 from player.live.frame import LivePose, between
-from player.live.inbox import LONGEST_DELAY
 from player.live.one_euro import LEAST
 from player.live.vmc import VmcEncoder
 from player.scene.address import Address, parse_address
@@ -29,6 +28,7 @@ from player.scene.arguments import LIVE
 
 BLOCK = 256  # frames read at once
 FASTEST = 1000.0  # frames a second
+LONGEST_BUFFER = 1000  # milliseconds
 # seconds; a sender that was stopped for longer goes on from now instead of hurrying
 CATCH_UP = 1.0
 
@@ -59,8 +59,8 @@ def _address(text: str, kinds: tuple[str, ...]) -> Address:
 def milliseconds(text: str) -> float:
     """Seconds of a text in milliseconds."""
     value = number(text)
-    if not 0 <= value <= 1000 * LONGEST_DELAY:
-        raise argparse.ArgumentTypeError(f"expected 0 to {1000 * LONGEST_DELAY:g} ms, found {text!r}")
+    if not 0 <= value <= LONGEST_BUFFER:
+        raise argparse.ArgumentTypeError(f"expected 0 to {LONGEST_BUFFER} ms, found {text!r}")
     return value / 1000
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+from avatar import rotation
 
 
 class LivePose(NamedTuple):
@@ -18,8 +18,7 @@ class LivePose(NamedTuple):
 
 def between(a: LivePose, b: LivePose, part: float) -> LivePose:
     """A share `part` of the way from one pose to another: joints on the shorter arc, the root straight."""
-    joints = slerp(quaternion_from_axis_angle(a.axis_angle), quaternion_from_axis_angle(b.axis_angle), part)
-    return LivePose(axis_angle_from_quaternion(joints), a.root + part * (b.root - a.root))
+    return LivePose(rotation.between(a.axis_angle, b.axis_angle, part), a.root + part * (b.root - a.root))
 
 
 class LiveFrame(NamedTuple):

@@ -25,7 +25,6 @@ from player.live.take import Take
 from player.live.vmc import VmcDecoder, VmcState, rig_from_state
 
 MOST_WAITING = 512  # frames; two seconds at 240 a second
-LONGEST_DELAY = 1.0  # seconds
 # seconds; float32 clocks step by 1 ms from here on, so arrival is the better clock
 COARSE = 8192.0
 # seconds; a sender's clock that jumps by more against ours is started anew
@@ -49,8 +48,6 @@ class Inbox:
     """Takes datagrams from a thread, gives poses to another. Memory does not grow."""
 
     def __init__(self, kind: str, *, delay: float | None = None, take: Take | None = None):
-        if delay is not None and not 0 <= delay <= LONGEST_DELAY:
-            raise ValueError(f"buffer should be 0 to {1000 * LONGEST_DELAY:g} ms, is {1000 * delay:g}")
         self.lock = threading.Lock()
         self.arrived = threading.Condition(self.lock)
         self.vmc = VmcDecoder() if kind == "vmc" else None

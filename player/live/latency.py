@@ -19,7 +19,8 @@ HEADER = (
     "frame,sent_s,received_s,applied_s,drawn_s,sent_clock,sent_to_received_ms,received_to_applied_ms,"
     "applied_to_drawn_ms,received_to_drawn_ms\n"
 )
-SPANS = ("sent to received", "received to applied", "received to drawn")
+DRAWN = "received to drawn"
+SPANS = ("sent to received", "received to applied", DRAWN)
 KEPT = 2048  # frames, for the percentiles
 UNIX = 1e9  # seconds; a larger time is Unix time
 # seconds; Unix clocks of two machines that differ by more are not compared
@@ -82,21 +83,20 @@ class Latency:
         self.quickest = min(self.quickest, offset)
         return "relative", offset - self.quickest
 
-    def percentiles(self) -> Percentiles | None:
-        """Received to drawn, of the last frames."""
-        if not self.spans:
-            return None
-        return Percentiles(*(1000 * np.percentile([span[2] for span in self.spans], [50, 95, 99])))
+    def percentiles(self) -> dict[str, Percentiles]:
+        """Of the spans of the last frames that were measured, by name."""
+        found = {}
+        for name, values in zip(SPANS, 1000 * np.array(self.spans).reshape(-1, 3).T, strict=True):
+            if np.isfinite(values).any():
+                found[name] = Percentiles(*np.nanpercentile(values, [50, 95, 99]).tolist())
+        return found
 
     def summary(self) -> list[str]:
         """One line a span, for printing at the end."""
-        lines = []
-        for name, values in zip(SPANS, np.array(self.spans).reshape(-1, 3).T, strict=True):
-            values = 1000 * values[np.isfinite(values)]
-            if len(values):
-                p50, p95, p99 = np.percentile(values, [50, 95, 99])
-                lines.append(f"latency, {name}: p50 {p50:.2f} ms, p95 {p95:.2f}, p99 {p99:.2f}")
-        return lines
+        return [
+            f"latency, {name}: p50 {span.p50:.2f} ms, p95 {span.p95:.2f}, p99 {span.p99:.2f}"
+            for name, span in self.percentiles().items()
+        ]
 
     def close(self) -> None:
         if self.file:

@@ -29,8 +29,6 @@ class OneEuro:
     """Smooths poses given one after another. A constant pose comes out as it is."""
 
     def __init__(self, least: float | int = LEAST):
-        if not 0 < least <= 1000:
-            raise ValueError(f"smoothing cut-off should be above 0 and at most 1000 Hz, is {least}")
         self.least = least
         self.reset()
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar
 from player.live.frame import LivePose
 from player.live.inbox import SILENT, Inbox
-from player.live.latency import Latency
+from player.live.latency import DRAWN, Latency
 from player.live.one_euro import OneEuro
 from player.live.vmc import joint_offsets, leg_length
 from player.scene.address import Address
@@ -131,9 +131,9 @@ class LivePlayback:
             "bad": count.malformed + count.oversized, "others": count.other,
         }  # fmt: skip
         parts.append("  ".join(f"{name} {n}" for name, n in named.items() if n or name == "lost"))
-        spans = self.latency.percentiles()
-        if spans:
-            parts.append(f"p95 {spans.p95:.0f} ms")
+        drawn = self.latency.percentiles().get(DRAWN)
+        if drawn is not None:
+            parts.append(f"p95 {drawn.p95:.0f} ms")
         return "  ".join(parts)
 
     def summary(self) -> list[str]:

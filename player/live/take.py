@@ -4,7 +4,6 @@ While it is recorded, the frames lie in FILE.recording, one record each. Whateve
 frame in hand: the next recording to the same FILE first saves what lies there beside it. Memory does not grow.
 """
 
-import contextlib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -15,10 +14,10 @@ from jaxtyping import Float, Int
 
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Motion
-from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+from avatar.rotation import between
 from command.errors import AssetError
 from command.progress import plural
-from files.whole import check_file
+from files.whole import check_file, locked
 from player.live.frame import LivePose
 
 # 80 minutes at 60 frames a second; at most so many are recorded, and at most so many are written
@@ -57,7 +56,7 @@ class Take:
         except OSError as error:
             raise AssetError(f"{self.recording}: cannot be written: {error.strerror}") from None
         try:
-            if not _locked(self.file):
+            if locked(self.file) is False:
                 raise AssetError(f"{path}: another process records into it; choose another name")
             if os.fstat(self.file).st_size:
                 self._recover_interrupted_take()
@@ -189,8 +188,7 @@ def poses_at_ticks(
         a = b - 1
         part = (wanted[missing] - ticks[a]) / (ticks[b] - ticks[a])
         before, behind = poses(a), poses(b)
-        qa, qb = (quaternion_from_axis_angle(pose[:, :52]) for pose in (before, behind))
-        out[missing, :52] = axis_angle_from_quaternion(slerp(qa, qb, np.repeat(part[:, None], 52, 1)))
+        out[missing, :52] = between(before[:, :52], behind[:, :52], np.repeat(part[:, None], 52, 1))
         out[missing, 52] = before[:, 52] + part[:, None] * (behind[:, 52] - before[:, 52])
     return out[:, :52], out[:, 52]
 
@@ -214,17 +212,3 @@ def _height(path: Path) -> float | None:
         raise AssetError(f"{path}: expected what is left of a take, found something else; move it away")
     height = float(np.frombuffer(head, HEADER)["pelvis_height"][0])
     return height if np.isfinite(height) and height > 0 else None
-
-
-def _locked(file: int) -> bool:
-    """Lock an open file until its process ends; False: another has it."""
-    try:
-        import fcntl
-    except ModuleNotFoundError:  # Windows
-        return True
-    with contextlib.suppress(OSError):
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-    return True

@@ -73,29 +73,17 @@ def hand_shape(axis_angle: Float[Array, "52 3"], side: Side) -> HandShape:
     return HandShape(tuple(float(v) for v in curl), tuple(float(v) for v in spread), float(angles[4, 0, 2]))
 
 
-def with_curl(
-    axis_angle: Float[Array, "52 3"], side: Side, finger: int, curl: float | int, *, limited: bool = True
-) -> Float[Array, "52 3"]:
-    """One finger curled anew; what its joints differ from an even curl stays."""
-    change = curl - hand_shape(axis_angle, side).curl[finger]
-    return _changed(axis_angle, side, finger, change * JOINT_SHARE[finger], np.zeros(3), limited)
-
-
-def with_spread(
-    axis_angle: Float[Array, "52 3"], side: Side, finger: int, spread: float | int, *, limited: bool = True
-) -> Float[Array, "52 3"]:
-    """One finger spread anew, radians; its curl stays."""
-    change = (spread - hand_shape(axis_angle, side).spread[finger]) * AWAY[finger]
-    return _changed(axis_angle, side, finger, np.zeros(3), np.array([change, 0.0, 0.0]), limited)
-
-
-def _changed(
-    axis_angle: Array, side: Side, finger: int, flexion: Array, sideways: Array, limited: bool
-) -> Float[Array, "52 3"]:
+def with_finger(
+    axis_angle: Float[Array, "52 3"], side: Side, finger: int, *, curl: float | None = None,
+    spread: float | None = None, limited: bool = True,
+) -> Float[Array, "52 3"]:  # fmt: skip
+    """One finger curled anew, or spread, radians; what its joints differ from an even curl stays."""
     joints = np.arange(52)[HANDS[side]].reshape(5, 3)[finger]
-    angles = joint_angles(axis_angle)
-    angles[joints, 0] += flexion
-    angles[joints, 1] += sideways
+    angles, now = joint_angles(axis_angle), hand_shape(axis_angle, side)
+    if curl is not None:
+        angles[joints, 0] += (curl - now.curl[finger]) * JOINT_SHARE[finger]
+    if spread is not None:
+        angles[joints[0], 1] += (spread - now.spread[finger]) * AWAY[finger]
     if limited:
         angles = clamped_angles(angles)
     out = np.array(axis_angle, np.float64)

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from avatar import rotation
 from avatar.motion.clip import Clip
-from avatar.rotation import axis_angle_from_quaternion, nearest_axis_angle, quaternion_from_axis_angle, slerp
 
 Array = np.ndarray
 
@@ -77,9 +77,8 @@ def pose_at(keys: Keys, frame: float | int, easing: Easing = "linear") -> Pose:
 
 def between(a: Pose, b: Pose, part: float | int) -> Pose:
     """A share `part` of the way from one pose to another."""
-    q = slerp(quaternion_from_axis_angle(a.axis_angle), quaternion_from_axis_angle(b.axis_angle), part)
-    joints = nearest_axis_angle(axis_angle_from_quaternion(q), a.axis_angle)
-    return Pose(joints, a.root + part * (b.root - a.root))
+    joints = rotation.between(a.axis_angle, b.axis_angle, part)
+    return Pose(rotation.nearest_axis_angle(joints, a.axis_angle), a.root + part * (b.root - a.root))
 
 
 def clip_of(keys: Keys, rate: float | int, easing: Easing = "linear", pelvis_height: float | None = None) -> Clip:
@@ -90,7 +89,7 @@ def clip_of(keys: Keys, rate: float | int, easing: Easing = "linear", pelvis_hei
 
 def difference(a: Pose, b: Pose) -> float:
     """The largest angle between joints, radians, or distance between roots, metres."""
-    p, q = quaternion_from_axis_angle(a.axis_angle), quaternion_from_axis_angle(b.axis_angle)
+    p, q = (rotation.quaternion_from_axis_angle(pose.axis_angle) for pose in (a, b))
     q = np.where(np.sum(p * q, -1, keepdims=True) < 0, -q, q)
     angle = 4 * np.arctan2(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
     return max(float(angle.max()), float(np.linalg.norm(a.root - b.root)))

@@ -18,7 +18,7 @@ from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.progress import plural
 from player.pose import pose_file
-from player.pose.fingers import HandShape, Side, with_curl, with_hand, with_spread
+from player.pose.fingers import HandShape, Side, with_finger, with_hand
 from player.pose.history import History, PoseState
 from player.pose.ik import LIMBS, reach_for
 from player.pose.keyframes import Easing, Keys, Pose, clip_of, pose_at, with_key, without_key
@@ -146,12 +146,11 @@ class PoseSession:
     def set_hand(self, side: Side, shape: HandShape) -> None:
         self.put(f"{side} hand", with_hand(self.pose.axis_angle, side, shape))
 
-    def set_curl(self, side: Side, finger: int, curl: float | int, *, drag: object | None = None) -> None:
-        pose = with_curl(self.pose.axis_angle, side, finger, curl, limited=self.limited)
-        self.put(f"{side} fingers", pose, drag=drag)
-
-    def set_spread(self, side: Side, finger: int, spread: float | int, *, drag: object | None = None) -> None:
-        pose = with_spread(self.pose.axis_angle, side, finger, spread, limited=self.limited)
+    def set_finger(
+        self, side: Side, finger: int, *, curl: float | None = None, spread: float | None = None,
+        drag: object | None = None,
+    ) -> None:  # fmt: skip
+        pose = with_finger(self.pose.axis_angle, side, finger, curl=curl, spread=spread, limited=self.limited)
         self.put(f"{side} fingers", pose, drag=drag)
 
     def turn(

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from avatar.camera import Camera, look_at, pinhole
+from avatar.camera import Camera, direction, look_at, orbit_camera, pinhole
 from player.scene.camera_path import CameraPath
-from player.scene.framing import ELEVATION, FOV, direction
+from player.scene.framing import ELEVATION, FOV
 
 STEEPEST = 1.5  # radians; a camera never goes over a pole
 WALK = 1.5  # metres a second
@@ -44,8 +44,7 @@ class Orbit:
     def camera(self, size: tuple[int, int], along: Float[np.ndarray, "3"] | None = None) -> Camera:
         """The camera, moved along with the avatar by `along`, metres."""
         target = self.target if along is None else self.target + along
-        away = direction(self.azimuth, self.elevation)
-        return Camera(pinhole(size, self.fov), look_at(target + self.distance * away, target), size)
+        return orbit_camera(target, self.distance, self.azimuth, self.elevation, size, self.fov)
 
 
 class Walk:
@@ -138,18 +137,12 @@ class Cameras:
         self, size: tuple[int, int], seconds: float, frame: int, along: Float[np.ndarray, "3"] | None = None
     ) -> Camera:
         """What is looked through, at a moment of the path and a frame of the capture, fitted to `size` pixels."""
-        if self.kind == "path" and self.path is not None:
-            return self.path.camera(seconds, size)
-        if self.kind == "capture" and self.capture:
-            return letterboxed(self.capture[frame % len(self.capture)], size)
-        if self.kind in self.named:
-            chosen = self.named[self.kind]
-            if isinstance(chosen, CameraPath):
-                return chosen.camera(seconds, size)
+        chosen = {"path": self.path, "capture": self.capture, **self.named}.get(self.kind)
+        if isinstance(chosen, CameraPath):
+            return chosen.camera(seconds, size)
+        if chosen:
             return letterboxed(chosen[min(frame, len(chosen) - 1)], size)
-        if self.kind == "walk":
-            return self.walk.camera(size)
-        return self.orbit.camera(size, along)
+        return self.walk.camera(size) if self.kind == "walk" else self.orbit.camera(size, along)
 
     def add_key(self, seconds: float, now: Camera) -> None:
         """Record what is looked through as a key of the path at this moment; one at the same moment is replaced."""

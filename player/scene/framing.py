@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from avatar.baked_avatar import Avatar
-from avatar.camera import Camera, look_at, pinhole
+from avatar.camera import Camera, direction, look_at, orbit_camera
 from avatar.hull import hull_of, outermost, posed_hull
 from avatar.motion.clip import Clip
 from avatar.skeleton import joint_transforms, skin_transforms
@@ -90,7 +90,8 @@ def fitted_camera(
     fov: float = FOV,
 ) -> Camera:  # fmt: skip
     """The camera of `fitted`."""
-    return at_distance(fitted(points, azimuth, size, elevation=elevation, fov=fov), azimuth, elevation, size, fov)
+    view = fitted(points, azimuth, size, elevation=elevation, fov=fov)
+    return orbit_camera(view.target, view.distance, azimuth, elevation, size, fov)
 
 
 def fitted_round(points: Float[Array, "points 3"], size: tuple[int, int], *, fov: float = FOV) -> Fitted:
@@ -125,22 +126,9 @@ def orbit(
     target, distance = fitted_round(points, size, fov=fov)
 
     def camera_at(turn: float, root: Float[Array, "3"]) -> Camera:
-        here = Fitted(target + root * [1.0, 0.0, 1.0], distance)
-        return at_distance(here, start + 2 * np.pi * turn, ELEVATION, size, fov)
+        return orbit_camera(target + root * [1.0, 0.0, 1.0], distance, start + 2 * np.pi * turn, ELEVATION, size, fov)
 
     return camera_at
-
-
-def at_distance(view: Fitted, azimuth: float, elevation: float, size: tuple[int, int], fov: float = FOV) -> Camera:
-    """The camera on that side of the target that looks at it."""
-    eye = view.target + view.distance * direction(azimuth, elevation)
-    return Camera(pinhole(size, fov), look_at(eye, view.target), size)
-
-
-def direction(azimuth: float, elevation: float) -> Float[Array, "3"]:
-    """Unit vector; azimuth 0 is +z, growing towards +x."""
-    flat = np.cos(elevation)
-    return np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
 
 
 def _slopes(size: tuple[int, int], fov: float) -> tuple[float, float]:

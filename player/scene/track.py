@@ -65,9 +65,7 @@ class Track:
             return self.placed(self._own(here))
         part = at - low
         (before, root_before), (after, root_after) = self._own(low), self._own(low + 1)
-        q_before, q_after = (rotation.quaternion_from_axis_angle(one) for one in (before, after))
-        q = rotation.slerp(q_before, q_after, np.full(52, part))
-        return self.placed((rotation.axis_angle_from_quaternion(q), root_before + part * (root_after - root_before)))
+        return self.placed((rotation.between(before, after, part), root_before + part * (root_after - root_before)))
 
     def _jumps(self, frame: int) -> bool:
         """Whether the motion jumps between this frame and the next."""

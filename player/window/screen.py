@@ -1,6 +1,5 @@
 """A glfw window with OpenGL in it, its sizes and pixels: on a display, or on glfw's null platform drawn by OSMesa."""
 
-import ctypes
 from ctypes import c_int, c_uint, c_void_p
 from typing import Any
 
@@ -14,6 +13,7 @@ from player.gl.context import Context, wrap_context
 
 # height of letters, pixels of a usual screen
 LETTER = 15.0
+RGBA, UNSIGNED_BYTE = 0x1908, 0x1401
 
 
 class Screen:
@@ -22,8 +22,7 @@ class Screen:
 
     def __init__(self, size: tuple[int, int], *, null: bool):
         self.handle = open_window(size, null)
-        self.context: Context = window_context(self.handle, null)
-        self._reader = ScreenReader(self.context)
+        self.context = window_context(self.handle, null)
         self._drawn_size = (0, 0)
 
     @property
@@ -59,8 +58,20 @@ class Screen:
         return self.context.screen()
 
     def read(self, area: tuple[int, int, int, int]) -> UInt8[np.ndarray, "height width 4"]:
-        """What is drawn in an area (left, top, width, height); row 0 on top, opaque."""
-        return self._reader.read(area, self.size)
+        """What is drawn in an area (left, top, width, height); row 0 on top, opaque.
+
+        moderngl's own `read` names an attachment, which a window does not have: GL errs.
+        """
+        left, top, width, height = area
+        self.context.make_current()
+        self.context.screen().use()
+        rows = np.empty((height, width, 4), np.uint8)
+        # rows of whole words, whatever the alignment
+        read = self.context.function("glReadPixels", *(c_int,) * 4, c_uint, c_uint, c_void_p)
+        read(left, self.size[1] - top - height, width, height, RGBA, UNSIGNED_BYTE, rows.ctypes.data)
+        image = rows[::-1].copy()
+        image[..., 3] = 255
+        return image
 
     def close(self) -> None:
         self.context.release()
@@ -114,24 +125,3 @@ def window_context(window: Any, null: bool) -> Context:
         return found or 0
 
     return wrap_context(address, lambda: glfw.make_context_current(window), "glfw null + OSMesa" if null else "window")
-
-
-class ScreenReader:
-    """Reads the window's pixels. moderngl's own `read` names an attachment, which a window does not have: GL errs."""
-
-    def __init__(self, context: Context):
-        address = context.driver.address("glReadPixels")
-        self.context = context
-        self._read = ctypes.CFUNCTYPE(None, c_int, c_int, c_int, c_int, c_uint, c_uint, c_void_p)(address)
-
-    def read(self, area: tuple[int, int, int, int], size: tuple[int, int]) -> UInt8[np.ndarray, "height width 4"]:
-        """What is drawn in an area (left, top, width, height) of a window of `size` pixels; row 0 on top, opaque."""
-        left, top, width, height = area
-        self.context.make_current()
-        self.context.screen().use()
-        rows = np.empty((height, width, 4), np.uint8)
-        # 0x1908 RGBA, 0x1401 unsigned byte: rows of whole words, whatever the alignment
-        self._read(left, size[1] - top - height, width, height, 0x1908, 0x1401, rows.ctypes.data)
-        image = rows[::-1].copy()
-        image[..., 3] = 255
-        return image

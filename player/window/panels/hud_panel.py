@@ -9,6 +9,7 @@ from imgui_bundle import imgui
 from avatar.camera import project
 from avatar.skeleton import joint_transforms
 from command.progress import plural
+from player.live.latency import DRAWN
 from player.window.actions import GROUPS
 from player.window.help import mouse_rows, rows
 from player.window.panels.widgets import shortened
@@ -35,9 +36,9 @@ def hud_panel(parts: WindowParts) -> None:
     if parts.budget is not None:
         lines.append(parts.budget.words)
     for live, _ in state.playback.live:
-        spans = live.latency.percentiles()
-        if spans:
-            lines.append(f"pose to picture {spans.p50:.1f} ms, p95 {spans.p95:.1f}")
+        drawn = live.latency.percentiles().get(DRAWN)
+        if drawn is not None:
+            lines.append(f"pose to picture {drawn.p50:.1f} ms, p95 {drawn.p95:.1f}")
     if film is not None:
         lines.append(f"filming: {plural(film.frames, 'frame')}")
     if state.messages.shown:

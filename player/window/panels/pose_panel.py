@@ -1,6 +1,8 @@
 """The panels of posing: the whole pose and its file, a joint's angles, hands, reach, keyframes, the library."""
 
 from collections.abc import Callable
+from functools import partial
+from math import radians
 
 import numpy as np
 from imgui_bundle import imgui
@@ -109,13 +111,11 @@ class PosePanels:
         angles = joint_angles(session.pose.axis_angle)[joint]
         low, high = np.degrees(table.low[joint]), np.degrees(table.high[joint])
         for k, text in enumerate(table.names[joint]):
-
-            def change(value: float, mark: object, k: int = k) -> None:
-                session.set_angle(joint, k, float(np.radians(value)), drag=mark)
-
             span = (float(low[k]), float(high[k])) if session.limited else DEGREES
             tip = f"{text} of the {joint_name(joint)}; people reach {low[k]:.0f} to {high[k]:.0f} degrees."
-            self._slider(edit, f"{text}: %.0f deg", shown_degrees(angles[k]), span, tip, change, name=f"angle {k}")
+            self._slider(edit, f"{text}: %.0f deg", shown_degrees(angles[k]), span, tip,
+                         lambda value, mark: session.set_angle(joint, k, radians(value), drag=mark),
+                         name=f"angle {k}")  # fmt: skip
         self._button(edit, "Reset joint", "This joint as in the T-pose.", lambda: session.reset([joint]))
         self._button(edit, "Copy joint", "Copy this joint alone.", edit.copy_joint, beside=True)
         if joint:
@@ -147,21 +147,15 @@ class PosePanels:
         shape = hand_shape(session.pose.axis_angle, side)
         low, high = np.degrees(SPREAD_RANGE)
         for finger in FROM_THUMB:
-
-            def curl(value: float, mark: object, finger: int = finger) -> None:
-                session.set_curl(side, finger, value, drag=mark)
-
-            def spread(value: float, mark: object, finger: int = finger) -> None:
-                session.set_spread(side, finger, float(np.radians(value)), drag=mark)
-
-            name = finger_name(finger)
+            change, name = partial(session.set_finger, side, finger), finger_name(finger)
             self._slider(
                 edit, f"{name}: %.2f", shape.curl[finger], CURL_RANGE, f"Curl of the {name}: 0 straight, 1 a fist.",
-                curl, name=f"{side} curl {FINGERS[finger]}",
+                lambda value, mark: change(curl=value, drag=mark), name=f"{side} curl {FINGERS[finger]}",
             )  # fmt: skip
             self._slider(
                 edit, f"{name} spread: %.0f deg", shown_degrees(shape.spread[finger]), (float(low), float(high)),
-                f"Spread of the {name} sideways.", spread, name=f"{side} spread {FINGERS[finger]}",
+                f"Spread of the {name} sideways.", lambda value, mark: change(spread=radians(value), drag=mark),
+                name=f"{side} spread {FINGERS[finger]}",
             )  # fmt: skip
         self._button(edit, "Other hand too", "The other hand does the same, mirrored.",
                      lambda: session.to_other_side(hand_joints(side)), name=f"{side} other")  # fmt: skip

@@ -67,18 +67,17 @@ def _source(live: LivePlayback) -> None:
             imgui.text_colored(imgui.ImVec4(1.0, 0.6, 0.3, 1.0), "the sender lost its tracking")
     counts = {name: n for name, n in vars(facts.counters).items() if n or name in ("frames", "lost")}
     imgui.text_disabled(", ".join(f"{name} {n}" for name, n in counts.items()))
-    spans = np.array(live.latency.spans).reshape(-1, 3)
-    if len(spans) and imgui.begin_table("latency", 4, imgui.TableFlags_.sizing_stretch_prop):
+    spans = live.latency.percentiles()
+    if spans and imgui.begin_table("latency", 4, imgui.TableFlags_.sizing_stretch_prop):
         for text in ("ms", "p50", "p95", "p99"):
             imgui.table_next_column()
             imgui.text_disabled(text)
-        for name, values in zip(SPANS, spans.T, strict=True):
-            values = 1000 * values[np.isfinite(values)]
+        for name in SPANS:
             imgui.table_next_column()
             imgui.text(name)
-            for percentile in (50, 95, 99):
+            for value in spans.get(name, ("-", "-", "-")):
                 imgui.table_next_column()
-                imgui.text(f"{np.percentile(values, percentile):.1f}" if len(values) else "-")
+                imgui.text(value if isinstance(value, str) else f"{value:.1f}")
         imgui.end_table()
 
 

@@ -195,8 +195,6 @@ def test_one_euro_steadies_a_jitter_and_follows_a_motion():
     swing = np.sin(2 * np.pi * np.arange(240) / 60)  # once a second, up to 6 rad/s
     found = np.array([smooth(pose(x), 1 / 60).axis_angle[16, 2] for x in swing])
     assert np.abs(found - swing)[60:].max() < 0.25
-    with pytest.raises(ValueError, match="cut-off"):
-        OneEuro(0.0)
 
 
 def test_one_euro_crosses_a_half_turn_on_the_short_way():
@@ -214,7 +212,7 @@ def test_stamps_become_rows_and_percentiles(tmp_path):
         latency.applied(frame, frame.received + 0.5)  # drawn again: only the first time counts
         latency.drawn(frame.received + 0.010)
         latency.drawn(frame.received + 0.6)
-    found = latency.percentiles()
+    found = latency.percentiles().get("received to drawn")
     assert found is not None and np.allclose(found, 10)
     assert "sent to received: p50 0.50 ms, p95 1.00" in latency.summary()[0]
     assert not (tmp_path / "l.csv").exists()

@@ -11,7 +11,7 @@ from avatar.motion.fingers import FINGERS, relaxed_hands
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND, joint_transforms, skin_transforms
 from avatar.skinning import skin_points
-from player.pose.fingers import PRESETS, HandShape, hand_shape, with_curl, with_hand, with_spread
+from player.pose.fingers import PRESETS, HandShape, hand_shape, with_finger, with_hand
 from player.pose.mirror import mirrored
 
 SOME = settings(max_examples=15, deadline=None, derandomize=True)
@@ -105,22 +105,22 @@ def test_one_finger_moves_alone_and_keeps_what_is_its_own(seed, finger, curl, si
     pose = with_hand(rng.normal(size=(52, 3)) * 0.3, side, PRESETS["relaxed"])
     first = (22 if side == "left" else 37) + 3 * finger
     joints = np.arange(first, first + 3)
-    out = with_curl(pose, side, finger, curl)
+    out = with_finger(pose, side, finger, curl=curl)
     assert hand_shape(out, side).curl[finger] == pytest.approx(curl, abs=1e-9)
     assert np.array_equal(np.delete(out, joints, 0), np.delete(pose, joints, 0))
     np.testing.assert_allclose(joint_angles(out)[joints, 1:], joint_angles(pose)[joints, 1:], atol=1e-9)
-    wide = with_spread(out, side, finger, 0.1)
+    wide = with_finger(out, side, finger, spread=0.1)
     shape = hand_shape(wide, side)
     assert shape.spread[finger] == pytest.approx(0.1, abs=1e-9)
     assert shape.curl[finger] == pytest.approx(curl, abs=1e-9)
 
 
 def test_a_curl_beyond_the_limits_stops_there_and_spreading_goes_outwards():
-    out = with_curl(FLAT, "left", 0, 5.0)
+    out = with_finger(FLAT, "left", 0, curl=5.0)
     assert within(out).all() and np.degrees(joint_angles(out)[22, 0]) == pytest.approx(90)
     joints = builtin_body("male").joints.astype(float)
     for finger, sign in ((0, 1), (2, -1), (3, -1)):  # the thumb's side is +z
-        pose = with_spread(FLAT, "left", finger, 0.2)
+        pose = with_finger(FLAT, "left", finger, spread=0.2)
         k = 22 + 3 * finger + 2
         way = joint_transforms(pose, joints)[k, :3, 3] - joints[k]
         assert sign * way[2] > 0.004

@@ -35,7 +35,7 @@ def act(s, rng):
     elif kind == 1:
         s.set_hand(side, PRESETS[list(PRESETS)[rng.integers(0, len(PRESETS))]])
     elif kind == 2:
-        s.set_curl(side, int(rng.integers(0, 5)), float(rng.uniform(0, 1)))
+        s.set_finger(side, int(rng.integers(0, 5)), curl=float(rng.uniform(0, 1)))
     elif kind == 3:
         mark = object()
         start = s.pose
