@@ -4,6 +4,7 @@ import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -178,13 +179,16 @@ def read_camera(path: Path | str) -> Camera:
     Raises:
         AssetError: the file is not JSON, a field is absent, misshapen or does not make a camera.
     """
-    content = read_json_object(path, "a camera file", most=MAX_BYTES)
+    return camera_from_json(str(path), read_json_object(path, "a camera file", most=MAX_BYTES))
+
+
+def camera_from_json(place: str, content: dict[str, Any]) -> Camera:
+    """The camera of such an object; `place` names it in messages."""
     absent = {"size", "K", "camera_from_world"} - content.keys()
     if absent:
-        raise AssetError(f"{path}: no {sorted(absent)}; the file has {sorted(key[:40] for key in content)[:20]}")
-    return checked_camera(
-        str(path), content["K"], content["camera_from_world"], content["size"], content.get("distortion", [0.0] * 5)
-    )
+        raise AssetError(f"{place}: no {sorted(absent)}; it has {sorted(key[:40] for key in content)[:20]}")
+    distortion = content.get("distortion", [0.0] * 5)
+    return checked_camera(place, content["K"], content["camera_from_world"], content["size"], distortion)
 
 
 def write_cameras(path: Path | str, cameras: Sequence[Camera]) -> None:
@@ -199,11 +203,11 @@ def write_cameras(path: Path | str, cameras: Sequence[Camera]) -> None:
         )
 
 
-def read_cameras(path: Path | str) -> list[Camera]:
-    """Read cameras.npz of a capture; one camera may serve all frames.
+def read_cameras(path: Path | str, frames: int | None = None) -> list[Camera]:
+    """Read cameras.npz of a capture; one camera may serve all `frames`.
 
     Raises:
-        AssetError: a field is absent, misshapen, not finite, or the focal length is not positive.
+        AssetError: a field is absent, misshapen, not finite, the focal length is not positive, or cameras are too few.
     """
     fields = read_npz(path, "cameras", ("K", "camera_from_world", "size"), ("distortion",))
     K, pose = np.atleast_1d(fields["K"]), np.atleast_1d(fields["camera_from_world"])
@@ -211,7 +215,11 @@ def read_cameras(path: Path | str) -> list[Camera]:
     if not len(K) == len(pose) == len(distortion) or len(K) == 0:
         found = f"{len(K)}, {len(pose)}, {len(distortion)}"
         raise AssetError(f"{path}: K, camera_from_world and distortion should be equally many, are {found}")
-    return [checked_camera(f"{path}, camera {i}", K[i], pose[i], fields["size"], distortion[i]) for i in range(len(K))]
+    if len(K) not in (1, frames or len(K)):
+        raise AssetError(f"{path}: should hold 1 or {frames} cameras, holds {len(K)}")
+    size, count = fields["size"], range(len(K))
+    cameras = [checked_camera(f"{path}, camera {i}", K[i], pose[i], size, distortion[i]) for i in count]
+    return cameras * frames if frames is not None and len(K) == 1 else cameras
 
 
 def checked_camera(place: str, K: object, pose: object, size: object, distortion: object) -> Camera:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from avatar.camera import Camera, project, read_cameras
+from avatar.motion.amass import read_video_poses
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from capture.frame_files import FrameFiles, Frames
@@ -224,14 +225,11 @@ def _read_video(path: Path, part: str, vertex_count: int, on_demand: bool) -> Pa
         size, expected = masks.shape[2:0:-1], images.shape[2:0:-1]
         raise AssetError(f"{path / 'masks'}: should be {expected} pixels as the images, are {size}")
     frames, height, width = masks.shape
-    cameras = read_cameras(path / "cameras.npz")
-    if len(cameras) not in (1, frames):
-        raise AssetError(f"{path / 'cameras.npz'}: should hold 1 or {frames} cameras, holds {len(cameras)}")
+    cameras = tuple(read_cameras(path / "cameras.npz", frames))
     if cameras[0].size != (width, height):
         raise AssetError(
             f"{path / 'cameras.npz'}: size should be {(width, height)} as the images, is {cameras[0].size}"
         )
-    cameras = tuple(cameras * frames if len(cameras) == 1 else cameras)
     if not masks.any():
         raise AssetError(f"{path / 'masks'}: no pixel of any frame shows the person")
 
@@ -239,24 +237,8 @@ def _read_video(path: Path, part: str, vertex_count: int, on_demand: bool) -> Pa
     if part == "head":
         points, vertices = _read_landmarks(path / "landmarks.json", vertex_count)
         return PartVideo(part, images, masks, cameras, None, None, points, vertices, unsure)
-    axis_angle, root = _read_poses(path / "poses.npz", frames)
-    return PartVideo(part, images, masks, cameras, axis_angle, root, None, None, unsure)
-
-
-def _read_poses(path: Path, frames: int) -> tuple[Float[Array, "frames 52 3"], Float[Array, "frames 3"]]:
-    fields = read_npz(path, "poses", ("poses", "trans"))
-    for name, columns in (("poses", 156), ("trans", 3)):
-        if name in fields and fields[name].ndim == 2 and len(fields[name]) != frames:
-            raise AssetError(
-                f"{path}: {name} should hold one row for each of {frames} frames, holds {len(fields[name])}"
-            )
-        if name in fields and fields[name].shape == (frames, columns) and fields[name].dtype.kind == "f":
-            bad = np.argwhere(~np.isfinite(fields[name]))
-            if len(bad):
-                joint = f", joint {bad[0][1] // 3}" if name == "poses" else ""
-                raise AssetError(f"{path}: {name} should be finite, is not in frame {bad[0][0]}{joint}")
-    poses = field(path, fields, "poses", (frames, 156)).astype(np.float64)
-    return poses.reshape(frames, 52, 3), field(path, fields, "trans", (frames, 3)).astype(np.float64)
+    poses = read_video_poses(path / "poses.npz", frames)
+    return PartVideo(part, images, masks, cameras, poses.axis_angle, poses.root, None, None, unsure)
 
 
 def _check_distance(path: Path, video: PartVideo) -> None:

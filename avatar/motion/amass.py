@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.body import Body
-from avatar.motion.clip import Clip, Motion
+from avatar.motion.clip import Clip, Motion, checked_rate
 from avatar.motion.pose_vector import TURNS, USUAL_PELVIS
 from avatar.motion.smpl_fields import PoseFields, read_pose_fields
 from avatar.rotation import quaternion_inverse, turned
-from files.npz import NpzFile
+from command.errors import AssetError
+from files.npz import NpzFile, field, read_npz
 from files.whole import whole_file
 
 Array = np.ndarray
@@ -37,6 +38,27 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
     """
     npz = NpzFile(path, "a pose file")
     return read_pose_fields(PoseFields(npz.path, npz.names, npz.member, "z"), body, [])
+
+
+def read_video_poses(path: Path, frames: int) -> Clip:
+    """poses.npz of a capture's video: a pose for each of its frames, our world.
+
+    Raises:
+        AssetError: a field is absent, misshapen or not finite, or the rate is none.
+    """
+    fields = read_npz(path, "poses", ("poses", "trans"), ("mocap_framerate",))
+    for name, columns in (("poses", 156), ("trans", 3)):
+        found = fields[name]
+        if found.ndim == 2 and len(found) != frames:
+            raise AssetError(f"{path}: {name} should hold one row for each of {frames} frames, holds {len(found)}")
+        if found.shape == (frames, columns) and found.dtype.kind == "f" and not np.isfinite(found).all():
+            frame, column = np.argwhere(~np.isfinite(found))[0]
+            joint = f", joint {column // 3}" if name == "poses" else ""
+            raise AssetError(f"{path}: {name} should be finite, is not in frame {frame}{joint}")
+    poses = field(path, fields, "poses", (frames, 156)).astype(np.float64).reshape(frames, 52, 3)
+    fields.setdefault("mocap_framerate", np.array(30.0))
+    rate = checked_rate(f"{path}: mocap_framerate", float(field(path, fields, "mocap_framerate", ())))
+    return Clip(poses, field(path, fields, "trans", (frames, 3)).astype(np.float64), rate)
 
 
 def write_amass(

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from avatar.camera import LARGEST, Camera, checked_camera, look_at
+from avatar.camera import LARGEST, Camera, camera_from_json, look_at
 from command.errors import AssetError
 from files import input_file
 from files.whole import write_json
@@ -174,11 +174,7 @@ def camera_of(key: Key, size: tuple[int, int]) -> Camera:
 
 def _read_key(place: str, key: dict[str, object]) -> Key:
     if "camera_from_world" in key or "K" in key:
-        absent = {"size", "K", "camera_from_world"} - key.keys()
-        if absent:
-            raise AssetError(f"{place}: no {sorted(absent)}; it has {sorted(key)}")
-        distortion = key.get("distortion", [0.0] * 5)
-        return key_of(checked_camera(place, key["K"], key["camera_from_world"], key["size"], distortion), 3.0)
+        return key_of(camera_from_json(place, key), 3.0)
     unknown = key.keys() - {"t", "eye", "target", "up", "fov_deg"}
     if unknown:
         raise AssetError(f"{place}: {sorted(unknown)} is unknown; a key has t, eye, target, up, fov_deg")

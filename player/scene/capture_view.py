@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from avatar.camera import Camera, read_cameras
-from avatar.motion.clip import Clip, checked_rate
+from avatar.motion.amass import read_video_poses
+from avatar.motion.clip import Clip
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from command.errors import AssetError
@@ -30,18 +31,21 @@ HEAD_RATE = 10.0  # frames a second; the head's video has no poses that would sh
 class CaptureView:
     """A video of a capture, frame by frame."""
 
-    path: Path
     part: str
     images: tuple[Path, ...]
     # one per frame, in the world the avatar stands in
     cameras: tuple[Camera, ...]
-    axis_angle: Float[np.ndarray, "frames 52 3"]
-    root: Float[np.ndarray, "frames 3"]
-    rate: float
+    # the poses the person had; not scaled, they were measured on this body
+    poses: Clip
+
+    @property
+    def rate(self) -> float:
+        """Frames a second."""
+        return self.poses.rate
 
     def clip(self, start: int, stop: int) -> Clip:
-        """The poses the person had; not scaled, they were measured on this body."""
-        return Clip(self.axis_angle[start:stop], self.root[start:stop], self.rate)
+        """The poses of some frames."""
+        return Clip(self.poses.axis_angle[start:stop], self.poses.root[start:stop], self.rate)
 
     def image(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
         """The picture of a frame.
@@ -73,38 +77,13 @@ def open_capture(path: Path | str, part: str = "body") -> CaptureView:
     images = tuple(sorted(p for p in (folder / "images").glob("*") if p.suffix.lower() in (".png", ".jpg", ".jpeg")))
     if not images:
         raise AssetError(f"{folder / 'images'}: expected pictures, found none")
-    cameras = read_cameras(folder / "cameras.npz")
-    if len(cameras) not in (1, len(images)):
-        raise AssetError(f"{folder / 'cameras.npz'}: should hold 1 or {len(images)} cameras, holds {len(cameras)}")
-    cameras = cameras * len(images) if len(cameras) == 1 else cameras
-    if part == "head":
-        scale, R, t = head_from_world(path)
-        cameras = [from_world(camera, scale, R, t) for camera in cameras]
-        still = np.zeros((len(images), 52, 3))
-        return CaptureView(path, part, images, tuple(cameras), still, still[:, 0], HEAD_RATE)
-    poses, root, rate = read_poses(folder / "poses.npz", len(images))
-    return CaptureView(path, part, images, tuple(cameras), poses, root, rate)
-
-
-def read_poses(
-    path: Path, frames: int
-) -> tuple[Float[np.ndarray, "frames 52 3"], Float[np.ndarray, "frames 3"], float]:
-    """Poses, pelvis joint in the world, and rate of a video."""
-    fields = read_npz(path, "poses", ("poses", "trans"), ("mocap_framerate",))
-    arrays = {}
-    for name, columns in (("poses", 156), ("trans", 3)):
-        if fields[name].shape != (frames, columns) or fields[name].dtype.kind != "f":
-            raise AssetError(f"{path}: {name} should be ({frames}, {columns}) numbers, is {fields[name].shape}")
-        bad = np.argwhere(~np.isfinite(fields[name]))
-        if len(bad):
-            joint = f", joint {bad[0][1] // 3}" if name == "poses" else ""
-            raise AssetError(f"{path}: {name} should be finite, is not in frame {bad[0][0]}{joint}")
-        arrays[name] = fields[name].astype(np.float64)
-    given = fields.get("mocap_framerate", np.array(30.0))
-    if given.size != 1 or given.dtype.kind not in "iuf":
-        raise AssetError(f"{path}: mocap_framerate should be one number, is {given.dtype} {given.shape}")
-    rate = checked_rate(f"{path}: mocap_framerate", float(given.reshape(())))
-    return arrays["poses"].reshape(frames, 52, 3), arrays["trans"], rate
+    cameras = read_cameras(folder / "cameras.npz", len(images))
+    if part != "head":
+        return CaptureView(part, images, tuple(cameras), read_video_poses(folder / "poses.npz", len(images)))
+    scale, R, t = head_from_world(path)
+    still = np.zeros((len(images), 52, 3))
+    cameras = tuple(from_world(camera, scale, R, t) for camera in cameras)
+    return CaptureView(part, images, cameras, Clip(still, still[:, 0], HEAD_RATE))
 
 
 def head_from_world(path: Path) -> tuple[float, Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
