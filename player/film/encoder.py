@@ -20,9 +20,9 @@ from jaxtyping import UInt8
 
 from command.errors import AssetError
 from files.input_file import open_film
+from player.scene.arguments import QUALITIES
 
 Frame = UInt8[np.ndarray, "height width 4"]
-QUALITIES = ("draft", "good", "best")
 # the number of threads shapes what x264 and VP9 write: the same on every machine, whatever its cores
 THREADS = 4
 BT709 = {

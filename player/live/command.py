@@ -25,8 +25,8 @@ from player.live.one_euro import LEAST
 from player.live.vmc import VmcEncoder
 from player.scene.address import Address, parse_address
 from player.scene.arguments import LIVE
+from player.scene.motions import BLOCK
 
-BLOCK = 256  # frames read at once
 FASTEST = 1000.0  # frames a second
 LONGEST_BUFFER = 1000  # milliseconds
 # seconds; a sender that was stopped for longer goes on from now instead of hurrying

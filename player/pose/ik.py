@@ -117,13 +117,13 @@ def reach_for(
     new_upper = a * (cosine * aim + sine * pole)
     new_lower = d * aim - new_upper
     old_normal, new_normal = np.cross(line, hinge), np.cross(aim, new_hinge)
-    upper_world = _frame(new_upper, new_normal) @ _transpose(_frame(upper, old_normal)) @ rotations[..., first, :, :]
-    lower_world = _frame(new_lower, new_normal) @ _transpose(_frame(lower, old_normal)) @ rotations[..., middle, :, :]
+    upper_world = _frame(new_upper, new_normal) @ _frame(upper, old_normal).mT @ rotations[..., first, :, :]
+    lower_world = _frame(new_lower, new_normal) @ _frame(lower, old_normal).mT @ rotations[..., middle, :, :]
 
     parents = [rotations[..., PARENTS[first], :, :], upper_world, lower_world]
     children = [upper_world, lower_world, rotations[..., last, :, :]]
     count = 3 if end == "world" else 2
-    turned = _transpose(np.stack(parents[:count], -3)) @ np.stack(children[:count], -3)
+    turned = np.stack(parents[:count], -3).mT @ np.stack(children[:count], -3)
     out = np.array(axis_angle, np.float64)
     out[..., [first, middle, last][:count], :] = axis_angle_from_matrix(turned)
     return out
@@ -187,7 +187,3 @@ def _dot(a: Float[Array, "*#b 3"], b: Float[Array, "*#b 3"]) -> Float[Array, "*b
 
 def _turned(rotation: Float[Array, "*b 3 3"], v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     return (rotation @ v[..., None])[..., 0]
-
-
-def _transpose(rotation: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3 3"]:
-    return np.swapaxes(rotation, -1, -2)

@@ -10,8 +10,8 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, direction, look_at, orbit_camera
 from avatar.hull import hull_of, outermost, posed_hull
 from avatar.motion.clip import Clip
-from avatar.skeleton import joint_transforms, skin_transforms
-from avatar.skinning import skin_points
+from avatar.skeleton import joint_transforms
+from player.draw.posing import posed_vertices
 
 Array = np.ndarray
 
@@ -26,11 +26,8 @@ SIDES = 48
 
 def pelvis_height(avatar: Avatar) -> float:
     """Height of the pelvis joint above the soles in pose 0, metres."""
-    # the finest: every reading has it
-    level = avatar.levels[0]
-    joints = avatar.joint_positions.astype(np.float64)
-    transforms = skin_transforms(np.zeros((52, 3)), joints, rest=avatar.canonical_pose.astype(np.float64))
-    return -float(skin_points(level.positions.astype(np.float64), level.skin, transforms)[:, 1].min())
+    # of the finest level: every reading has it
+    return -float(posed_vertices(avatar, avatar.levels[0], (np.zeros((52, 3)), np.zeros(3)))[:, 1].min())
 
 
 def facing(axis_angle: Float[Array, "52 3"], joints: Float[Array, "52 3"]) -> float:

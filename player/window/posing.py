@@ -5,8 +5,7 @@ Here is what ties them to the window: its timeline, its messages, files and the 
 """
 
 from collections.abc import Callable
-
-import numpy as np
+from functools import partial
 
 from command.errors import AssetError
 from player.draw.posing import grounded
@@ -187,11 +186,7 @@ class PoseEdit:
 
     def take(self, name: str) -> None:
         """A pose of the library."""
-
-        def ground(axis_angle: np.ndarray, root: np.ndarray) -> np.ndarray:
-            return grounded(self.avatar, axis_angle, root)
-
-        session = self.session
+        session, ground = self.session, partial(grounded, self.avatar)
         pose = self.library.read(name, root=session.pose.root, pelvis_height=session.pelvis_height, ground=ground)
         session.load_pose(name, pose)
 

@@ -157,7 +157,8 @@ def test_a_head_s_camera_stands_before_the_t_pose(avatar, capture):
     path, world = capture
     view = open_capture(path, "head")
     assert np.allclose(view.cameras[0].camera_from_world, world.camera_from_world, atol=1e-6)
-    head = joint_transforms(view.poses.axis_angle[0], avatar.joint_positions.astype(float), view.poses.root[0])[15, :3, 3]
+    pose, root = view.poses.axis_angle[0], view.poses.root[0]
+    head = joint_transforms(pose, avatar.joint_positions.astype(float), root)[15, :3, 3]
     assert np.allclose(project(view.cameras[0], head[None])[0], project(world, head[None])[0], atol=1e-3)
 
 
