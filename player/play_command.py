@@ -23,8 +23,7 @@ from player.scene import arguments
 from player.scene.address import Address, parse_address
 from player.scene.arguments import CAMERA, LOOKS, MACHINE, TIME, WHO
 from player.scene.effects import Effects
-from player.scene.motions import beside
-from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera
+from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera, side_by_side
 from player.window.help import command_line_help
 
 EXAMPLES = """examples
@@ -115,9 +114,10 @@ class PlayCommand:
         if live is not None and (self.motion or self.capture):
             raise ValueError("give --motion or --capture or --live")
         count = len(self.people)
-        for name, values in (("--motion", self.motion), ("--at", self.at)):
-            if values and len(values) not in (1, count):
-                raise ValueError(f"{name}: expected one, or one for each of {count} avatars, found {len(values)}")
+        if self.motion and len(self.motion) not in (1, count):
+            raise ValueError(f"--motion: expected one, or one for each of {count} avatars, found {len(self.motion)}")
+        if self.at and len(self.at) != count:
+            raise ValueError(f"--at: expected one for each of {count} avatars, found {len(self.at)}")
 
 
 PLAY = Help(
@@ -156,21 +156,11 @@ def scene_of(command: PlayCommand) -> Scene:
 
 
 def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:
-    count = len(command.people)
     motions = command.motion or (None if command.capture or command.source.live else "counting",)
     live = str(command.source.live) if command.source.live else None
-    avatars = []
-    for k, path in enumerate(command.people):
-        x, y, z, turn = (*beside(k, count).tolist(), 0.0)
-        if command.at and (len(command.at) > 1 or count == 1):
-            x, y, z, turn = command.at[k]
-        motion = motions[k % len(motions)]
-        avatars.append(
-            SceneAvatar(
-                path, motion, live, (x, y, z), turn, hands=command.hands, ground=command.ground, body=command.body
-            )
-        )
-    return tuple(avatars)
+    return side_by_side(
+        command.people, motions, command.at, live=live, hands=command.hands, ground=command.ground, body=command.body
+    )
 
 
 def play_scene(scene: Scene, command: PlayCommand) -> int:

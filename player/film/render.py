@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -31,9 +30,9 @@ from player.gl.context import Context, opened
 from player.scene.arguments import with_effects, with_options
 from player.scene.effects import Effects
 from player.scene.framing import evenly
-from player.scene.motions import beside, frame_range
+from player.scene.motions import frame_range
 from player.scene.renderer import Renderer
-from player.scene.scene import Scene, SceneAvatar, SceneCamera
+from player.scene.scene import Scene, SceneCamera, side_by_side
 
 # 3,000 triangles of a baked avatar: coarser levels are for people far away
 DRAFT_LEVEL = 2
@@ -178,10 +177,8 @@ def scene_of(command: RenderCommand) -> Scene:
 
         scene = read_scene(command.scene)
     else:
-        everyone = partial(SceneAvatar, motion=command.motion, hands=command.hands, ground=command.ground)
-        places = [beside(k, len(command.avatar)).tolist() for k in range(len(command.avatar))]
-        who = zip(command.avatar, places, strict=True)
-        scene = Scene(tuple(everyone(path, at=tuple(at), body=command.body) for path, at in who))
+        shared = {"hands": command.hands, "ground": command.ground, "body": command.body}
+        scene = Scene(side_by_side(command.avatar, [command.motion], **shared))
     if command.camera is not None:
         scene = replace(scene, cameras=(camera_from_option(command.camera),))
     if command.seconds is not None:

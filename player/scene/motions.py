@@ -17,7 +17,6 @@ from player.scene.framing import pelvis_height
 from player.scene.scene import SceneCamera
 
 BLOCK = 256  # frames read at once: memory does not grow with the film
-SPACING = 1.0  # metres between several avatars, side by side
 
 
 def motion_for(
@@ -70,8 +69,3 @@ def frame_range(
         asked = f"frame {start}" if stop == start + 1 else f"frames {start}:{stop}"
         raise AssetError(f"{name}: {asked} asked for, it has {plural(count, 'frame')}, the first is 0")
     return start, stop
-
-
-def beside(index: int, count: int) -> np.ndarray:
-    """Where avatar `index` of `count` stands, metres."""
-    return np.array([(index - 0.5 * (count - 1)) * SPACING, 0.0, 0.0])

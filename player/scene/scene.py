@@ -3,6 +3,7 @@
 docs/scenes.md documents the file. Fields here are keys there, `avatars` as [[avatar]], `cameras` as [[camera]].
 """
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from avatar.gltf.avatar_file import BUILTIN
@@ -19,6 +20,7 @@ CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")
 # a film's frames per second and a round's seconds: beyond them containers of films count wrong
 FILM_RATES, TURNS = (0.01, 1000.0), (0.01, 86_400.0)
 MOST_AVATARS = 256
+SPACING = 1.0  # metres between several avatars, side by side
 # that travel with the program: a person as `make demo` makes him, and the free body without one
 MANNEQUINS = ("mannequin", "mannequin:female")
 BUILTIN_AVATARS = (BUILTIN, *MANNEQUINS)
@@ -50,6 +52,20 @@ class SceneAvatar:
                 raise ValueError(f"live: {error}") from None
         if self.motion is not None and self.live is not None:
             raise ValueError("motion and live: expected one of them, found both")
+
+
+def side_by_side(
+    paths: Sequence[str], motions: Sequence[str | None], places: Sequence[tuple[float, float, float, float]] = (),
+    **settings: str | None,
+) -> tuple[SceneAvatar, ...]:  # fmt: skip
+    """Avatars beside one another, or each at its x, y, z and turned by degrees; one motion for all or one for each."""
+    left = -0.5 * SPACING * (len(paths) - 1)
+    places = places or [(left + SPACING * k, 0.0, 0.0, 0.0) for k in range(len(paths))]
+    motions = motions if len(motions) > 1 else [motions[0]] * len(paths)
+    return tuple(
+        SceneAvatar(path, motion, at=(x, y, z), turn_deg=turn, **settings)
+        for path, motion, (x, y, z, turn) in zip(paths, motions, places, strict=True)
+    )
 
 
 @settings

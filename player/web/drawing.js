@@ -43,6 +43,7 @@ class Drawing {
     // unpacked, by level: they outlive the context
     this.content = new Map();
     this.timing = {};
+    // a frame is drawn anew whenever it may be shown: the browser need not keep a copy of the last one
     const settings = { antialias: false, alpha: false, depth: false, stencil: false, powerPreference: "high-performance" };
     this.gl = canvas.getContext("webgl2", settings);
     if (!this.gl) throw new Error("This browser has no WebGL 2, or it is turned off.");
@@ -55,7 +56,7 @@ class Drawing {
   }
 
   get views() {
-    return ["off", "vertex", "linear", "network"].filter((view) => view in this.sources);
+    return Object.keys(this.sources);
   }
 
   // What belongs to a context, made anew when the browser has lost it.
@@ -101,7 +102,7 @@ class Drawing {
   // joints: how many a vertex follows at most, as player/budget/rung.py prepares them.
   program(view, joints) {
     return this.kept(`program ${view} ${joints}`, () => {
-      const gl = this.gl, began = performance.now(), program = gl.createProgram(), source = this.sources[view];
+      const gl = this.gl, program = gl.createProgram(), source = this.sources[view];
       const bias = `#version 300 es\n#define MIP_BIAS ${this.software ? "-1.0" : "0.0"}\n`;
       for (const [kind, text] of [[gl.VERTEX_SHADER, source.vertex], [gl.FRAGMENT_SHADER, source.fragment]]) {
         const shader = gl.createShader(kind);
@@ -122,7 +123,6 @@ class Drawing {
       ["base_color", "features", "more_features"].forEach((name, unit) => {
         gl.uniform1i(gl.getUniformLocation(program, name), unit);
       });
-      this.timing[`compile ${view}`] = performance.now() - began;
       return program;
     });
   }

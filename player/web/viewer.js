@@ -218,7 +218,6 @@ class Viewer {
     if (document.hidden || this.drawing.gl.isContextLost()) return;
     const { width, height } = this.canvas, poses = [poseAt(this.motion, this.settings.frame)];
     const ms = this.drawing.measure(poses, this.camera, this.rung, [width, height], { groups: 3, atLeast: 10 });
-    this.drawing.timing.ms = ms;
     find("price").textContent = `${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame here`;
     this.dirty = true;
   }

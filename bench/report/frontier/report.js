@@ -268,8 +268,6 @@ class Player {
     this.motion = await unpackedMotion(this.facts.motion);
     await this.choose(this.report.row.draw || this.report.all.find((row) => row.draw).draw);
     this.draw();
-    this.drawing.finish(this.shown.into);
-    this.drawing.timing.page = performance.now();
     requestAnimationFrame((now) => this.tick(now));
   }
 
