@@ -99,12 +99,10 @@ class Inbox:
             self.start = None
             self.waiting.clear()
             self.lag = np.inf
-        begins = begins or last is None
-        if begins:
+        if begins or last is None:
             self.counters.frames += 1
             self.arrivals.append(received)
             self._record()
-        if begins or last is None:
             time = self._time(sent, received)
         else:
             time = last.time

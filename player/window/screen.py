@@ -45,11 +45,6 @@ class Screen:
         """Pixels a unit."""
         return self.pixel(1.0, 1.0)[0]
 
-    @property
-    def letter(self) -> float:
-        """Height of letters, pixels."""
-        return LETTER * density(self.handle) * self.scale
-
     def begin(self) -> moderngl.Framebuffer:
         """What a frame is drawn into. OSMesa takes the window's memory when it is made current."""
         if self.size != self._drawn_size:
