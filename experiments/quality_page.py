@@ -67,7 +67,7 @@ def people_table(results: list[dict[str, Any]]) -> str:
 def region_table(results: list[dict[str, Any]], region: str) -> list[str]:
     """One region of people in one light: each, the mean, the paper, ceilings where they were measured."""
     ours = [result["novel_pose"][region] for result in results]
-    shown = [m for m in METRICS if m.key != "lpips" or any(o.get("lpips") for o in ours)]
+    shown = [m for m in METRICS if any(scores.get(m.key) is not None for scores in ours)]
     labels = [str(result["capture"]["subject"]) for result in results]
     mean = {}
     for key in (metric.key for metric in METRICS):

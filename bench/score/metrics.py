@@ -1,5 +1,5 @@
-"""Scores, one line of METRICS each: P2S and Chamfer, pooled PSNR, SSIM, FLIP, and LPIPS where its weights exist (they
-are not shipped).
+"""Scores, one line of METRICS each: P2S, its way back, Chamfer and F; pooled PSNR, SSIM, FLIP, and LPIPS where its
+weights exist (they are not shipped).
 
 Images are float arrays (H, W, 3) in [0, 1], sRGB, row 0 at the top. A score that cannot be given as a finite
 number is None with the reason in words: identical images have an infinite PSNR, an empty mask has none.
@@ -178,7 +178,11 @@ def check_images(truth: np.ndarray, image: np.ndarray) -> None:
 
 METRICS = (
     Metric("p2s_cm", "P2S cm", 2, "lower", of_surfaces=lambda d: d.p2s),
+    Metric("back_cm", "back cm", 2, "lower", of_surfaces=lambda d: d.back),
+    Metric("back_95_cm", "back 95 %", 2, "lower", of_surfaces=lambda d: d.back_95),
     Metric("chamfer_cm", "CD cm", 2, "lower", of_surfaces=lambda d: d.chamfer),
+    Metric("f_5mm", "F 5 mm", 2, "higher", of_surfaces=lambda d: d.f_5mm),
+    Metric("f_1cm", "F 1 cm", 2, "higher", of_surfaces=lambda d: d.f_1cm),
     Metric("psnr_db", "box dB", 2, "higher", lambda p: p.box_error(), of_rungs=True),
     Metric("psnr_mask_db", "mask dB", 2, "higher",
            lambda p: None if p.mask is None else checked_error(p.truth, p.image, p.mask), of_rungs=True),

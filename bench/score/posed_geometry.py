@@ -78,7 +78,7 @@ def nothing() -> Distances:
 def pooled_distance(poses: list[PoseDistances], hair: bool | None = None) -> SurfaceDistance:
     """Over all poses, of all surface, or only of what is hair (True) or is not (False)."""
     if not poses:
-        return SurfaceDistance(None, None, None)
+        return SurfaceDistance(None)
     to_truth, hair_to_truth, to_surface, hair_to_surface = (np.concatenate(part) for part in zip(*poses))
     if hair is not None:
         to_truth, to_surface = to_truth[hair_to_truth == hair], to_surface[hair_to_surface == hair]

@@ -29,7 +29,7 @@ def without_eyes(reason: str) -> Json:
 
 
 def region_scores(distances: list[PoseDistances] | None, images: ImageScores | None) -> Json:
-    """M: {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}, null with its reason in "reasons"."""
+    """M: one number for each of METRICS, {"p2s_cm", "back_cm", ..., "lpips"}, null with its reason in "reasons"."""
     out: Json = {}
     reasons: dict[str, str] = {}
     if distances is not None:

@@ -20,7 +20,7 @@ from capture.held_out import read_held_out
 from command.errors import AssetError
 from experiments.quality_page import people_table
 
-KEYS = {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}
+KEYS = {"p2s_cm", "back_cm", "back_95_cm", "chamfer_cm", "f_5mm", "f_1cm", "psnr_db", "ssim", "flip", "lpips"}
 
 
 @pytest.fixture(scope="session")

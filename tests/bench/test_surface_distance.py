@@ -17,4 +17,14 @@ def test_half_a_sphere_is_exact_one_way_and_incomplete_the_other():
     upper = faces[(vertices[faces][:, :, 1] > 0).all(1)]
     measured = mesh_distance((vertices, faces), (vertices, upper))
     assert measured.p2s == pytest.approx(0, abs=1e-6)
-    assert measured.completeness > 5
+    assert measured.back is not None and measured.back_95 is not None
+    # the farthest true sample is the other pole, sqrt(2) r off the rim
+    assert 5 < measured.back < measured.back_95 < 100 * 2**0.5 * 0.3
+    # all of ours is on the truth, half of the truth is on ours
+    assert measured.f_5mm is not None and measured.f_1cm is not None
+    assert measured.f_5mm == pytest.approx(2 / 3, abs=0.02) and measured.f_5mm < measured.f_1cm < 1
+
+
+def test_f_counts_what_is_nearer_than_its_distance():
+    measured = mesh_distance(sphere(0.3), sphere(0.307))
+    assert measured.f_5mm == 0 and measured.f_1cm == 1
