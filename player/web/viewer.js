@@ -76,6 +76,7 @@ class Viewer {
     await new Promise((done) => setTimeout(done, 0));
     await drawing.load(wanted);
     settings.level = wanted;
+    this.dirty = true;
     timing.whole = this.drawn();
     document.body.classList.add("ready");
     this.tell();
@@ -83,9 +84,9 @@ class Viewer {
     setTimeout(() => this.price(), 400);
   }
 
-  // Draw, and the milliseconds since the page was asked for.
+  // Draw what has changed, and the milliseconds since the page was asked for.
   drawn() {
-    this.draw();
+    if (this.dirty) this.draw();
     this.drawing.finish(this.shown.into);
     return performance.now();
   }
