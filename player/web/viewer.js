@@ -29,7 +29,7 @@ function readSettings(home, avatar) {
     view: given.get("view") in VIEW_NAMES ? given.get("view") : null,
     level: Math.min(settings.level, avatar.levels.length - 1),
     frame: Math.max(number("frame", 0), 0),
-    size: size && [Number(size[1]), Number(size[2])],
+    size: size && [1, 2].map((k) => Math.max(1, Number(size[k]))),
     camera: {
       target: ["x", "y", "z"].map((name, k) => number(name, home.target[k])),
       distance: limited(number("distance", home.distance), 0.05, 1000),
