@@ -31,7 +31,7 @@ from command.settings import settings_json
 from files.whole import whole_folder
 from train import run as run_folder
 from train.command import TrainOptions
-from train.compose import HeadPlacement, TrainedParts, compose, consistent_placement, landmark_placement
+from train.compose import HeadPlacement, TrainedParts, compose, consistent_placement, landmark_placement, timed
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
 from train.light import VideoLight, video_light

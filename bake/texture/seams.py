@@ -382,4 +382,4 @@ def _diagonal(chain: list[_Mip]) -> Float[Array, "unknowns 1"]:
         _Mip(mip.texels, mip.reads.power(2), None if mip.finer is None else mip.finer.power(2), mip.rest**2)
         for mip in chain
     ]
-    return _spread_back(squared, [np.ones((mip.reads.shape[0], 1), np.float32) for mip in chain])
+    return _spread_back(squared, [np.ones((mip.reads.indptr.size - 1, 1), np.float32) for mip in chain])

@@ -32,7 +32,7 @@ from player.scene.effects import Effects
 from player.scene.framing import evenly
 from player.scene.motions import frame_range
 from player.scene.renderer import Renderer
-from player.scene.scene import Scene, SceneCamera, side_by_side
+from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera, side_by_side
 
 # 3,000 triangles of a baked avatar: coarser levels are for people far away
 DRAFT_LEVEL = 2
@@ -177,8 +177,8 @@ def scene_of(command: RenderCommand) -> Scene:
 
         scene = read_scene(command.scene)
     else:
-        shared = {"hands": command.hands, "ground": command.ground, "body": command.body}
-        scene = Scene(side_by_side(command.avatar, [command.motion], **shared))
+        like = SceneAvatar(BUILTIN, hands=command.hands, ground=command.ground, body=command.body)
+        scene = Scene(side_by_side(command.avatar, [command.motion], like=like))
     if command.camera is not None:
         scene = replace(scene, cameras=(camera_from_option(command.camera),))
     if command.seconds is not None:

@@ -4,6 +4,7 @@ docs/scenes.md documents the file. Fields here are keys there, `avatars` as [[av
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated
 
 from avatar.gltf.avatar_file import BUILTIN
@@ -55,15 +56,19 @@ class SceneAvatar:
 
 
 def side_by_side(
-    paths: Sequence[str], motions: Sequence[str | None], places: Sequence[tuple[float, float, float, float]] = (),
-    **settings: str | None,
-) -> tuple[SceneAvatar, ...]:  # fmt: skip
-    """Avatars beside one another, or each at its x, y, z and turned by degrees; one motion for all or one for each."""
+    paths: Sequence[str],
+    motions: Sequence[str | None],
+    places: Sequence[tuple[float, float, float, float]] = (),
+    *,
+    like: SceneAvatar,
+) -> tuple[SceneAvatar, ...]:
+    """Avatars like one, beside one another, or each at its x, y, z and turned by degrees; one motion for all or one
+    for each."""
     left = -0.5 * SPACING * (len(paths) - 1)
     places = places or [(left + SPACING * k, 0.0, 0.0, 0.0) for k in range(len(paths))]
     motions = motions if len(motions) > 1 else [motions[0]] * len(paths)
     return tuple(
-        SceneAvatar(path, motion, at=(x, y, z), turn_deg=turn, **settings)
+        replace(like, path=path, motion=motion, at=(x, y, z), turn_deg=turn)
         for path, motion, (x, y, z, turn) in zip(paths, motions, places, strict=True)
     )
 

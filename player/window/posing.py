@@ -7,6 +7,8 @@ Here is what ties them to the window: its timeline, its messages, files and the 
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+
 from command.errors import AssetError
 from player.draw.posing import grounded
 from player.pose.library import Library

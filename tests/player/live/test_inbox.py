@@ -1,7 +1,6 @@
 """Frames between network and window: newest and buffered, odd clocks, silence, floods of nonsense."""
 
 import numpy as np
-import pytest
 
 from player.live.frame import Counters
 from player.live.inbox import MOST_WAITING, Inbox
