@@ -117,9 +117,8 @@ def test_the_command_prints_a_table_and_writes_json(oracle, tmp_path, capsys, re
 
 def test_people_of_different_lights_are_in_sections_of_their_own_and_never_averaged(result):
     def person(light, psnr, **facts):
-        scores = {
-            region: {"p2s_cm": 0.1, "psnr_db": psnr, "psnr_mask_db": psnr - 4} for region in ("head", "hands", "total")
-        }
+        numbers = {"p2s_cm": 0.1, "chamfer_cm": 0.1, "psnr_db": psnr, "psnr_mask_db": psnr - 4}
+        scores = dict.fromkeys(("head", "hands", "total"), numbers)
         return {"capture": {"subject": light, "light": light, **facts}, "novel_pose": scores, "beside": {}}
 
     text = people_table([person("fixed", 20.0), person("even", 30.0, sheen=0.5), person("even", 27.0),
@@ -134,13 +133,14 @@ def test_people_of_different_lights_are_in_sections_of_their_own_and_never_avera
 
 def test_kinds_of_input_are_in_sections_of_their_own_and_the_paper_beside_what_was_estimated():
     def person(psnr, **kind):
-        scores = {region: {"p2s_cm": 0.1, "psnr_db": psnr} for region in ("head", "hands", "total")}
+        scores = {key: {"p2s_cm": 0.1, "chamfer_cm": 0.1, "psnr_db": psnr} for key in ("head", "hands", "total")}
         return {"capture": {"subject": "she", "light": "room"}, "novel_pose": scores, "beside": {}, **kind}
 
     text = people_table([person(30.0), person(20.0, input="from pixels"), person(24.0, input="given")])
     given, pixels = text[text.index("## Room light") :].split("## Room light, from pixels")
-    assert "| **mean** | 0.10 | - | 27.00 |" in given and "paper" not in given
-    assert "| **mean** | 0.10 | - | 20.00 |" in pixels and "| paper (SynTotalHuman; crops unknown) | 1.84 |" in pixels
+    assert "| **mean** | 0.10 | 0.10 | 27.00 |" in given and "paper" not in given
+    assert "| **mean** | 0.10 | 0.10 | 20.00 |" in pixels
+    assert "| paper (SynTotalHuman; crops unknown) | 1.84 |" in pixels
 
 
 def test_box_pixels_are_those_of_the_projected_box():

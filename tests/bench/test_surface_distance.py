@@ -26,5 +26,5 @@ def test_half_a_sphere_is_exact_one_way_and_incomplete_the_other():
 
 
 def test_f_counts_what_is_nearer_than_its_distance():
-    measured = mesh_distance(sphere(0.3), sphere(0.307))
+    measured = mesh_distance(icosphere(0.3, subdivisions=5), icosphere(0.307, subdivisions=5))
     assert measured.f_5mm == 0 and measured.f_1cm == 1

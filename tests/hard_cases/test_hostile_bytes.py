@@ -122,7 +122,7 @@ def surface(path: Path) -> None:
 
 def surface_bytes(folder: Path) -> bytes:
     run = pytest.importorskip("train.run", reason="torch is not installed")
-    rows = {name: np.zeros((4, *columns), np.float32) for name, columns in run.SURFACE.items()}
+    rows = {name: np.zeros((4, *columns), kind) for name, (kind, columns) in run.SURFACE.items()}
     return written(lambda path: np.savez(path, **(rows | {"faces": np.zeros((2, 3), np.uint32)})))(folder)
 
 

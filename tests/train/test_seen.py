@@ -10,6 +10,7 @@ from tiny import tiny_training
 from capture.folder import read_capture
 from capture.light.seen_colors import seen_colors
 from train.command import TrainOptions
+from train.networks import ColorInputs
 from train.networks.seen import SeenNetworks
 from train.preset import PREVIEW
 from train.run import read_run
@@ -63,7 +64,7 @@ def test_a_color_grid_gives_back_its_nodes_and_is_linear_between_them():
     color.values.copy_(places.T.reshape(color.values.shape))
     points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1
     nothing = torch.zeros(50, 1)
-    torch.testing.assert_close(color(points, nothing, points, points, nothing), points, rtol=0, atol=1e-6)
+    torch.testing.assert_close(color(ColorInputs(points, nothing, points, points, nothing)), points, rtol=0, atol=1e-6)
 
 
 def test_steps_of_a_preset_that_learns_nothing_are_refused(tmp_path):
