@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8, UInt32
+from numpy import ndarray as Array
 
 from avatar.bend import BEND_JOINTS, BENDS
 from avatar.helper_joints import BONES, CARRIER
@@ -20,8 +21,6 @@ from avatar.light import CaptureLight
 from avatar.skeleton import JOINTS
 from avatar.skinning import SkinWeights
 from files.input_file import JsonObject
-
-Array = np.ndarray
 
 VIEW_MODES = ("network", "linear", "off")
 

@@ -20,11 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.rotation import quaternion_from_axis_angle, quaternion_inverse, quaternion_product, unit_or_zero
 from avatar.skeleton import JOINTS, PARENTS
-
-Array = np.ndarray
 
 
 class Bend(NamedTuple):

@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from avatar.skeleton import JOINTS, PARENTS
 from avatar.skinning import SkinWeights, strongest_four
 from command.errors import AssetError
 from files.npz import field, read_npz
 from files.unpickle import read_pickle
-
-Array = np.ndarray
 
 HANDS = ("hands_meanl", "hands_meanr", "hands_componentsl", "hands_componentsr")
 # what is read of a model; its pose correctives (`posedirs`, 74 MB) are not

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from command.errors import AssetError
 from files.input_file import read_json_object
 from files.npz import read_npz
 from files.whole import whole_file, write_json
 
-Array = np.ndarray
 Vector = Sequence[float | int] | Array
 
 # the largest camera file

@@ -6,13 +6,12 @@ They are for linear blending, in our player and in any other: limbs that turn (a
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.bend import BEND_CARRIER, BEND_JOINTS, BendJoints
 from avatar.rotation import axis_angle_from_quaternion
 from avatar.skeleton import JOINTS
 from avatar.twist import TWIST_CARRIER, TWIST_JOINTS, TwistJoints
-
-Array = np.ndarray
 
 # names of all; files with twist joints alone end behind those
 HELPER_JOINTS = (*TWIST_JOINTS, *BEND_JOINTS)

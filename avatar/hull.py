@@ -8,14 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar
 from avatar.body import Body
 from avatar.rotation import fibonacci_sphere
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights
-
-Array = np.ndarray
 
 # looked along, for each bone
 DIRECTIONS = 128

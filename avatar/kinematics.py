@@ -10,14 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.camera import Camera
 from avatar.limits import axis_angle_from_joint_angles, limits
 from avatar.rotation import axis_angle_from_matrix, cross_matrix, matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, DEPTHS, PARENTS, joint_transforms
 from avatar.skinning import SkinWeights
-
-Array = np.ndarray
 
 # metres: what lies nearer to a camera, or behind it, is projected as if it lay there
 NEAREST = 0.05

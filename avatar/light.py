@@ -17,11 +17,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from command.settings import AtLeast, AtMost, SettingsSource, check, record_of, settings_json
 from files.input_file import Json, JsonObject
 
-Array = np.ndarray
 Frame = Literal["camera", "world"]
 # at most; as many as shaders/light.glsl has room for
 LAMPS = 4

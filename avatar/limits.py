@@ -31,6 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.body import builtin_body
 from avatar.motion.fingers import FINGERS, MIRROR, finger_axes
@@ -41,8 +42,6 @@ from avatar.rotation import (
     quaternion_product,
 )
 from avatar.skeleton import JOINTS
-
-Array = np.ndarray
 
 # exponent of the swing's outline: 2 is an ellipse, infinity a box
 POWER = 4

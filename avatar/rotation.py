@@ -5,8 +5,7 @@ All functions work on the last axis (or the last two), any number of leading one
 
 import numpy as np
 from jaxtyping import Float
-
-Array = np.ndarray
+from numpy import ndarray as Array
 
 
 def matrix_from_axis_angle(axis_angle: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:

@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.rotation import matrix_from_axis_angle
-
-Array = np.ndarray
 
 
 class Registration(NamedTuple):

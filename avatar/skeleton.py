@@ -2,10 +2,9 @@
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.rotation import matrix_from_axis_angle
-
-Array = np.ndarray
 
 _BODY = (
     "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot "

@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
+from numpy import ndarray as Array
 
 from avatar.rotation import matrix_from_quaternion, quaternion_from_matrix, quaternion_product
-
-Array = np.ndarray
 
 # |det| of a blended matrix under which its inverse is refused: B moves points by < 1/50 of volume
 SINGULAR = 0.02

@@ -4,9 +4,9 @@ sRGB curve: what a byte of a picture means in linear light (IEC 61966-2-1).
 
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
+from numpy import ndarray as Array
 from PIL import Image
 
-Array = np.ndarray
 # an image of any size
 Texels = UInt8[Array, "_ _ channels"]
 

@@ -18,11 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.rotation import cross_matrix, quaternion_from_axis_angle, unit_or_zero
 from avatar.skeleton import JOINTS
-
-Array = np.ndarray
 
 
 class Segment(NamedTuple):

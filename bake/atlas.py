@@ -14,11 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
+from numpy import ndarray as Array
 
 from command.errors import AssetError
 from files.npz import read_npz
-
-Array = np.ndarray
 
 
 class Unwrapped(NamedTuple):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.bend import BEND_JOINTS, BENDS, Bend
@@ -13,8 +14,6 @@ from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
 from avatar.skinning import SkinWeights, skin_points
 from avatar.twist import TWIST_JOINTS
 from geometry.mesh import connected
-
-Array = np.ndarray
 
 # bytes: a joint is not left with less than this beside its bend joint, for that would take a slot
 LEAST = 4

@@ -5,13 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
+from numpy import ndarray as Array
 
 from avatar.baked_avatar import Level
 from avatar.rotation import unit_or_zero
 from geometry.harmonic import fill_reached
 from geometry.mesh import blended
-
-Array = np.ndarray
 
 # a field's sRGB in [0, 1] at points, seen along unit directions from the camera to the point
 ColorFunction = Callable[[Float[Array, "n 3"], Float[Array, "n 3"]], Float[Array, "n 3"]]

@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from geometry.isosurface import Detail
 from train.fused import CanonicalField
-
-Array = np.ndarray
 
 
 class NumpyField(NamedTuple):

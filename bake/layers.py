@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from numpy import ndarray as Array
 
 from bake.cone import ViewCone
 from bake.field import NumpyField
@@ -18,8 +19,6 @@ from capture.template.solid import solid_inside, template_behind_cloth
 from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged
 from geometry.isosurface import Detail, Extraction, GridSteps, Hints, PointFunction, extract
 from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas, vertex_normals
-
-Array = np.ndarray
 
 
 class SurfaceLayer(NamedTuple):

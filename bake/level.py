@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, Integer, UInt8
+from numpy import ndarray as Array
 
 from avatar.gltf.avatar_file import Level
 from avatar.rotation import unit_or_zero
@@ -27,8 +28,6 @@ from geometry.isosurface import Detail, PointFunction, project_to_zero
 from geometry.mesh import TriangleMesh, blended, face_areas
 from geometry.repair import find_faults
 from geometry.sample import stratified_samples
-
-Array = np.ndarray
 
 # texels whose points are in memory at once
 PIECE = 1 << 18

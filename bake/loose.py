@@ -7,14 +7,13 @@ it. Hands and feet hold nothing loose: gloves and heels are no skirts. Islets ar
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Integer
+from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.skeleton import JOINTS
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
 from geometry.mesh import component_labels, face_areas
-
-Array = np.ndarray
 
 # metres off the template's vertices, which are a centimetre or two apart
 NEAR, FAR = 0.03, 0.09

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, orbit_camera, pixel_rays
 from avatar.gltf.avatar_file import Avatar
@@ -17,8 +18,6 @@ from bake.truth import modes_of, scored_mask
 from geometry.isosurface import PointFunction, project_to_zero
 from geometry.mesh import TriangleMesh, blended
 from geometry.sample import stratified_samples
-
-Array = np.ndarray
 
 HEAD = 15
 LEFT_MIDDLE, RIGHT_MIDDLE = 25, 40

@@ -19,14 +19,13 @@ import torch
 # now, before any GL context: it loads an LLVM that crashes when Mesa's came first
 import torch._dynamo
 from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray as Array
 from torch import nn
 
 from avatar.gltf.avatar_file import ViewNetwork
 from avatar.psnr import decibels
 from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, matrix_from_six, tangent_frame
 from files.whole import whole_file
-
-Array = np.ndarray
 
 AMPLITUDE = 0.6
 # what a mode must gain over the simpler one to be shipped

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.light import CaptureLight
 from bake.promises import Facts
@@ -13,8 +14,6 @@ from capture.folder import PartVideo, read_capture
 from command.errors import AssetError
 from train.run import lights_of, matrix_of
 from train.session import capture_digest
-
-Array = np.ndarray
 
 # metres that the head's landmarks may be off the template, in the place that the run found for the head
 HEAD_OFF = 0.03

@@ -2,12 +2,11 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
+from numpy import ndarray as Array
 
 from geometry.closest import Match
 from geometry.harmonic import fill_harmonic
 from geometry.mesh import blended, component_labels, connected, half_edges
-
-Array = np.ndarray
 
 # the limb a joint moves: torso and head, each leg, each arm, each finger
 LIMBS = np.array([0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 3, 4, 0, 3, 4, 3, 4, 3, 4, *np.repeat(np.arange(5, 15), 3)])

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar, Level, TwistSkin
 from avatar.bend import BENDS
@@ -12,8 +13,6 @@ from avatar.kinematics import DESCENDS
 from avatar.skeleton import JOINTS, joint_transforms
 from avatar.twist import SEGMENTS, Segment
 from bake.bend import bend_skin, fitted_push, with_room
-
-Array = np.ndarray
 
 # share of a vertex that other limbs must hold to count for the ends of a segment
 NOTICED = 0.1

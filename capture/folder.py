@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, project, read_cameras
 from avatar.motion.amass import read_video_poses
@@ -21,8 +22,6 @@ from files.input_file import read_json_object
 from files.npz import field, read_npz
 from files.picture import read_picture
 from files.whole import whole_file
-
-Array = np.ndarray
 
 SUBJECT = ("v_template", "faces", "joints", "skin_joints", "skin_weights", "part", "hair")
 # metres: from an infant to the tallest man measured

@@ -17,12 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from command.errors import AssetError
 from files.input_file import MAX_BYTES, one_line, open_input, read_bytes
 from files.unpickle import unpickled
-
-Array = np.ndarray
 
 # an archive may be longer than memory: its members are read by name or by rows
 MAX_ARCHIVE_BYTES = 1 << 40

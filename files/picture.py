@@ -16,12 +16,11 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
+from numpy import ndarray as Array
 from PIL import Image, ImageOps
 
 from command.errors import AssetError
 from files.input_file import one_line, open_input
-
-Array = np.ndarray
 
 # 8192 x 8192: 268 MB as RGBA
 MAX_PIXELS = 1 << 26

@@ -2,9 +2,8 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
-
-Array = np.ndarray
 
 
 def distance_to(marked: Bool[Array, "*cells"]) -> Float[Array, "*cells"]:

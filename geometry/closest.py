@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from geometry.mesh import check_mesh, face_normals
-
-Array = np.ndarray
 
 # point-triangle pairs held in memory
 PAIRS_AT_ONCE = 500_000

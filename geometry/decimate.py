@@ -6,14 +6,13 @@ from typing import NamedTuple
 import fast_simplification
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from command.errors import AssetError
 from geometry.isosurface import PointFunction
 from geometry.mesh import TriangleMesh, area_normals, compact, component_labels, face_areas, largest_component
 from geometry.repair import find_faults, repair, split_nonmanifold
-
-Array = np.ndarray
 
 
 class Enlargement(NamedTuple):

@@ -2,12 +2,11 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from numpy import ndarray as Array
 from scipy.sparse import diags
 
 from geometry.least_squares import factorised
 from geometry.mesh import component_labels, neighbour_matrix
-
-Array = np.ndarray
 
 
 def anchored(known: Bool[Array, "vertices"], faces: Integer[Array, "faces 3"]) -> Bool[Array, "vertices"]:

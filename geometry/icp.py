@@ -4,14 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.rotation import nearest_rotation
 from avatar.similarity import Registration, similarity_rows, small_similarity
 from geometry.closest import TriangleIndex, closest_points
 from geometry.least_squares import NormalEquations
-
-Array = np.ndarray
 
 
 class Anchors(NamedTuple):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from numpy import ndarray as Array
 from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, generate_binary_structure, label
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
@@ -19,8 +20,6 @@ from geometry.mesh import (
     largest_component,
     separate_pieces,
 )
-
-Array = np.ndarray
 
 PointFunction = Callable[[Float[Array, "n 3"]], Array]
 

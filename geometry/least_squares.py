@@ -11,11 +11,11 @@ from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csc_matrix, spmatrix
 from scipy.sparse.linalg import SuperLU, splu
 
-Array = np.ndarray
 Estimate = TypeVar("Estimate")
 
 # share of the cost by which a step has to lower it to be worth another

@@ -5,10 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
+from numpy import ndarray as Array
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-
-Array = np.ndarray
 
 
 class TriangleMesh(NamedTuple):

@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, project
-
-Array = np.ndarray
 
 # pixels of bounding boxes tried at once; bounds the memory to some 100 MB
 CANDIDATES = 1 << 20

@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Integer
+from numpy import ndarray as Array
 
 from command.errors import AssetError
 from geometry.mesh import TriangleMesh, connected, half_edges, largest_component
-
-Array = np.ndarray
 
 
 class Fault(NamedTuple):

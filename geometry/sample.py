@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from numpy import ndarray as Array
 
 from geometry.mesh import check_mesh, face_areas
-
-Array = np.ndarray
 
 
 class SurfaceSamples(NamedTuple):

@@ -4,9 +4,8 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Float32
+from numpy import ndarray as Array
 from scipy import fft
-
-Array = np.ndarray
 
 # cells round the box within which samples count on its own grid; those farther off on one of COARSER times its cell
 NEAR, COARSER = 8, 4

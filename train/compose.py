@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.similarity import Registration
@@ -42,7 +43,6 @@ from train.surface import Surface, extract_surface
 from train.trainer import UNSAVED, UNWATCHED, Checkpoints, Watch
 from train.union import train_union, zero_level
 
-Array = np.ndarray
 # takes a line that says what was done
 Say = Callable[[str], None]
 

@@ -6,11 +6,10 @@ from math import pi
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from torch import Tensor, nn
 
 from avatar.skinning import SINGULAR, SkinWeights, blended_transforms
-
-Array = np.ndarray
 
 
 def inverse_transforms(

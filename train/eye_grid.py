@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 from scipy.spatial import KDTree
 from torch import Tensor
@@ -27,8 +28,6 @@ from geometry.isosurface import Detail
 from geometry.mesh import face_normals
 from geometry.sample import lattice_samples
 from train.template_grid import TemplateGrid, interpolated, sampled
-
-Array = np.ndarray
 
 # cells of the fine grid to one of the coarse: 1 mm at the head's 3 mm
 FINER = 3

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 from torch import Tensor
 
 from avatar.light import CaptureLight
@@ -21,7 +22,6 @@ from capture.folder import Capture
 from capture.light.frames import light_from_video
 from command.errors import AssetError
 
-Array = np.ndarray
 # numbers of a seen light: spherical harmonics to degree 4
 HARMONICS = 25
 

@@ -7,13 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from jaxtyping import UInt8
+from numpy import ndarray as Array
 
 from command.errors import AssetError
 from files.whole import whole_file
-
-Array = np.ndarray
 
 
 class TrainingLog:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Bool
+from numpy import ndarray as Array
 
 from avatar.skeleton import PARTS
 from capture.fit.refine import poses_refined, with_refined, write_learned
@@ -33,8 +34,6 @@ from train.rays import FilmedPart, RaySettings, part_rays
 from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, Position, Watch, peak_memory, train_field
 from train.union import write_rays
-
-Array = np.ndarray
 
 # share of the preparation that the rays take where a template fit follows
 RAYS_SHARE = 0.3

@@ -21,6 +21,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 from torch import Tensor, nn
 
 from avatar.kinematics import DESCENDS, turned
@@ -28,8 +29,6 @@ from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARTS, joint_transforms, skin_transforms
 from capture.fit.align import metres_of_a_pixel, moving_joints
 from capture.folder import CaptureSubject, PartVideo
-
-Array = np.ndarray
 
 # degrees, and SPREAD centimetres of the root: standard deviation of what alignment leaves
 SPREAD = 1.0

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, project
 from avatar.skeleton import PARTS, skin_transforms
@@ -17,8 +18,6 @@ from train.field import PartField, unit_normals
 from train.objective import Batch, RayTensors, functions_of, ray_tensors, render_rays
 from train.preset import Preset
 from train.rays import FilmedPart, RaySettings, part_rays
-
-Array = np.ndarray
 
 SIDE = 112  # pixels at most
 BATCH = 4096  # rays drawn at once

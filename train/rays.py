@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.camera import pixel_rays
@@ -22,8 +23,6 @@ from capture.template.parts import Part
 from capture.template.surface import SampleGrid, SurfaceCloud, sample_grid, signed
 from geometry.cells import distance_to
 from train.deform import apply_rows, canonical_from_posed, inverse_transforms
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

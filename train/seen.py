@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
+from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.light import CaptureLight
@@ -18,8 +19,6 @@ from train.field import PartField
 from train.networks.seen import SeenColor
 from train.part_job import template_field
 from train.preset import Preset
-
-Array = np.ndarray
 
 # metres from the template beyond which no color is asked for
 REACH = 0.06

@@ -7,6 +7,7 @@ the caller's own mesh.
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
@@ -16,8 +17,6 @@ from geometry.closest import Match, best_candidate
 from geometry.harmonic import anchored, fill_harmonic
 from geometry.mesh import vertex_normals
 from geometry.sample import lattice_samples
-
-Array = np.ndarray
 
 
 class CanonicalSkin:

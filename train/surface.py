@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
@@ -15,8 +16,6 @@ from capture.template.solid import solid_inside
 from geometry.isosurface import Detail, zero_set_mesh
 from geometry.mesh import TriangleMesh, concatenated, largest_component, separate_pieces
 from train.fused import FusedField
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,14 @@
 """The template's distance grid as a module: where a part field starts."""
 
-import numpy as np
 import torch
 from jaxtyping import Float
+from numpy import ndarray as Array
 from torch import Tensor
 
 from capture.folder import CaptureSubject
 from capture.template.grid import distance_grid
 from capture.template.surface import SurfaceCloud
 from train.deform import trilinear
-
-Array = np.ndarray
 
 
 class TemplateGrid(torch.nn.Module):

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 from torch import Tensor
 
 from avatar.skeleton import PARTS
@@ -22,8 +23,6 @@ from train.fused import FusedField
 from train.objective import Extra, RayTensors
 from train.preset import PartPreset, Preset
 from train.trainer import UNSAVED, UNWATCHED, Checkpoints, FieldTraining, Watch, train_field
-
-Array = np.ndarray
 
 
 class ZeroLevel(NamedTuple):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Float32
+from numpy import ndarray as Array
 
 from avatar.bend import BENDS
 from avatar.gltf.avatar_write import EXTENSION
@@ -24,8 +25,6 @@ from avatar.rotation import normalised_quaternion, quaternion_from_axis_angle
 from avatar.skeleton import JOINTS
 from files.input_file import JsonObject
 from files.whole import whole_file
-
-Array = np.ndarray
 
 # in the animation's extras: metres above the soles of the body that it fits
 PELVIS_HEIGHT = "pelvisHeight"

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy import ndarray as Array
 
 from avatar.baked_avatar import (
     FEATURES,
@@ -43,8 +44,6 @@ from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
 from command.errors import AssetError
 from files.input_file import JsonObject
 from files.picture import decode_png, png_pixels
-
-Array = np.ndarray
 
 __all__ = ["Avatar", "Level", "ViewNetwork", "read_avatar", "write_avatar"]
 

@@ -14,12 +14,11 @@ from math import prod
 from pathlib import Path
 
 import numpy as np
+from numpy import ndarray as Array
 
 from avatar.gltf.container import MAX_BYTES, file_bytes, glb_chunks, parse_json, short, uri_bytes
 from command.errors import AssetError
 from files.input_file import JsonObject
-
-Array = np.ndarray
 
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 ELEMENT_SHAPES = {

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from avatar.gltf.document import Gltf
 from avatar.gltf.humanoid import find_joints
@@ -34,8 +35,6 @@ from avatar.rotation import axis_angle_from_matrix, rotation_between
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points, strongest_four
 from command.errors import AssetError
-
-Array = np.ndarray
 
 # an arm this close to horizontal is a T-pose as animators leave it: turning it would only stretch the shoulders
 REST_ARM_DEGREES = 8.0

@@ -5,14 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt32
+from numpy import ndarray as Array
 
 from avatar.gltf.document import Gltf, refusal
 from avatar.rotation import matrix_from_quaternion
 from avatar.texture import bytes_of, linear_from_srgb, srgb_from_linear
 from command.errors import AssetError
 from files.picture import WITH_WEBP, decode_picture
-
-Array = np.ndarray
 
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
 

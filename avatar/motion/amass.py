@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.body import Body
 from avatar.motion.clip import Clip, Motion, checked_rate
@@ -20,8 +21,6 @@ from avatar.rotation import quaternion_inverse, turned
 from command.errors import AssetError
 from files.npz import NpzFile, field, read_npz
 from files.whole import whole_file
-
-Array = np.ndarray
 
 WRITTEN_AT_ONCE = 1024  # frames
 

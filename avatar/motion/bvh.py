@@ -11,13 +11,12 @@ from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.motion.clip import Motion, RestSkeleton, checked_rate
 from avatar.rotation import matrix_from_axis_angle
 from command.errors import AssetError
 from files.input_file import open_input
-
-Array = np.ndarray
 
 # a place in the file is remembered every so many frames
 INDEX_STEP = 64

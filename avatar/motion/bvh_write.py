@@ -17,13 +17,12 @@ from typing import IO
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.motion.clip import Clip, Motion
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS
 from files.whole import whole_file
-
-Array = np.ndarray
 
 BLOCK = 256  # frames in memory at once
 # cos b below which a and c cannot be separated; float64 leaves 1e-9 of a degree to a + c

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.motion.rest_pose import Alignment, RestBones, below_elbow, cosine, hinge, snapped
 from avatar.motion.rig import AnimatedRig, JointMap
@@ -30,8 +31,6 @@ from avatar.rotation import (
     unit_or_zero,
 )
 from command.errors import AssetError
-
-Array = np.ndarray
 
 NEAR_AXES = np.radians(25.0)
 # mean of the sines of a hinge's angle under which it says nothing, and the share of it that must agree

@@ -6,12 +6,11 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from avatar.body import Body, builtin_body
 from avatar.rotation import between
 from command.errors import AssetError
-
-Array = np.ndarray
 
 # frames per second, and metres from the soles to the pelvis, that a file may claim
 RATES = (0.01, 10_000.0)

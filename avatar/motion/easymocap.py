@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.body import Body
 from avatar.motion.clip import Motion, spread_frames
@@ -46,8 +47,6 @@ from avatar.rotation import (
 )
 from command.errors import AssetError
 from files.input_file import JsonObject, read_json
-
-Array = np.ndarray
 
 MAX_BYTES = 1 << 24  # one frame's file
 # looked at for the up axis

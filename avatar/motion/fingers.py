@@ -9,12 +9,11 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.body import builtin_body
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, unit_or_zero
 from avatar.skeleton import FINGERS, JOINTS
-
-Array = np.ndarray
 
 # radians of the three joints in a full curl
 JOINT_SHARE = np.array([[1.2, 1.5, 0.9]] * 4 + [[0.55, 0.75, 1.1]])

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.gltf.document import Gltf, read_gltf
 from avatar.gltf.humanoid import Naming, find_naming
@@ -34,8 +35,6 @@ from avatar.skeleton import JOINTS
 from command.errors import AssetError
 from command.progress import plural
 from files.input_file import JsonObject
-
-Array = np.ndarray
 
 PATHS = {"rotation": 4, "translation": 3}  # numbers a key
 LONGEST = 1e6  # seconds

@@ -15,12 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.hull import BodyHull, lowest_points
 from avatar.motion.clip import Motion
 from command.errors import AssetError
-
-Array = np.ndarray
 
 # frames looked at, in runs of neighbours, within the first so many of the motion
 SAMPLED_FRAMES, RUN, LOOKED_AT = 256, 4, 36_000

@@ -3,13 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy import ndarray as Array
 
 from avatar.body import Body
 from avatar.motion.clip import Motion
 from avatar.motion.fingers import relaxed_hands
 from command.errors import AssetError
-
-Array = np.ndarray
 
 HANDS = ("file", "flat", "relaxed", "mean")
 

@@ -21,12 +21,11 @@ from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.motion.landmark_pose import BODY_POINTS, HAND_POINTS, curl_sign
 from command.errors import AssetError
 from files.input_file import JsonObject, read_json
-
-Array = np.ndarray
 
 WHAT = "landmarks of MediaPipe"
 MOST_FRAMES = 1_000_000

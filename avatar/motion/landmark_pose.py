@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.limits import axis_angle_from_joint_angles, clamped_angles, joint_angles, limits
 from avatar.motion.fingers import FINGERS
@@ -36,8 +37,6 @@ from avatar.rotation import (
 )
 from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import PARENTS
-
-Array = np.ndarray
 
 BODY_POINTS, HAND_POINTS = 33, 21
 # MediaPipe's numbers of the body's points: the left one, the right one

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, checked_rate
 from avatar.motion.landmark_file import WHAT, FilmFacts, Frame, is_mediapipe, read_landmarks
@@ -21,8 +22,6 @@ from avatar.skeleton import JOINT_NUMBERS as J
 from command.errors import AssetError
 from command.progress import plural
 from files.input_file import read_json
-
-Array = np.ndarray
 
 ASSUMED_RATE = 30.0
 # width over height that pictures have

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.motion.fingers import FINGERS, MIRROR, finger_axes
 from avatar.motion.rest_pose import Alignment, hinge
@@ -36,8 +37,6 @@ from avatar.rotation import (
 )
 from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS
-
-Array = np.ndarray
 
 MHR_JOINTS = 127
 # our joint of the left side -> the joint that turns it, the joint that places it

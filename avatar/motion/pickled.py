@@ -7,14 +7,13 @@ first. The pickle is never run (files/unpickle.py). It is read whole: a sequence
 from pathlib import Path
 
 import numpy as np
+from numpy import ndarray as Array
 
 from avatar.body import Body
 from avatar.motion.clip import Motion
 from avatar.motion.smpl_fields import BODY, WHOLE, HeldRows, PoseFields, read_pose_fields
 from command.errors import AssetError
 from files.unpickle import Value, read_pickle
-
-Array = np.ndarray
 
 # the most numbers in a field of lists: 300 MB as Python holds them
 MAX_NUMBERS = 10_000_000

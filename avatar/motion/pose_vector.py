@@ -21,13 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.body import Body, shaped
 from avatar.rotation import axis_name, matrix_from_axis_angle
 from avatar.skeleton import JOINTS
 from command.errors import AssetError
-
-Array = np.ndarray
 
 LARGEST = 1e9  # radians or metres
 

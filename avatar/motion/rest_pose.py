@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.motion.fingers import MIRROR
 from avatar.motion.rig import FINGER_NAMES, AnimatedRig, JointMap
@@ -22,8 +23,6 @@ from avatar.rotation import (
 )
 from avatar.skeleton import JOINT_NUMBERS as J
 from command.errors import AssetError
-
-Array = np.ndarray
 
 # cosine of a thigh to the way from hips to head, above which no person stands: it points up, or sideways like a split
 THIGH_UP = -0.2

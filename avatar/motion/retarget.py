@@ -13,6 +13,7 @@ A rig whose rest pose is no person's (every bone along +x) gets its A_k from its
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.motion.calibrate import Sampled, calibrated_alignment
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, spread_frames
@@ -24,8 +25,6 @@ from avatar.rotation import axis_angle_from_matrix, matrix_from_quaternion, rota
 from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS
 from command.errors import AssetError
-
-Array = np.ndarray
 
 # looked at for up axis, rest pose and soles
 SAMPLED_FRAMES = 200

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, spread_frames
 from avatar.motion.mhr_rig import MHR_JOINTS, NUMBERS, MhrRig, mhr_alignment, off_bones
@@ -24,8 +25,6 @@ from command.errors import AssetError
 from command.progress import plural
 from files.input_file import name_order
 from files.npz import NpzFile
-
-Array = np.ndarray
 
 WHAT = "a result of SAM 3D Body"
 # the names that people save the fields under

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.body import Body
 from avatar.motion.clip import Motion, checked_pelvis_height, checked_rate, spread_frames
@@ -44,8 +45,6 @@ from avatar.motion.pose_vector import (
 from avatar.rotation import matrix_from_quaternion, turned
 from command.errors import AssetError
 from files.npz import NpzMember
-
-Array = np.ndarray
 
 WHOLE = ("poses", "pose", "fullpose", "pose_est_fullposes")
 ROOT = ("global_orient", "root_orient", "poses_root")

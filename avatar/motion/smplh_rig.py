@@ -10,14 +10,13 @@ is the SMPL rotation, whatever the lengths of the bones.
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.motion.clip import Motion, builtin_skeleton
 from avatar.motion.rig import REQUIRED, AnimatedRig
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS
-
-Array = np.ndarray
 
 LIMBS = tuple(f"{side}_{name}" for side in ("left", "right") for name in REQUIRED) + ("head",)
 # degrees that limbs may rest off a T-pose: people differ, an A-pose is 40

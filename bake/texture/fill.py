@@ -17,14 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from numpy import ndarray as Array
 from scipy.cluster.vq import kmeans2
 from scipy.sparse import csr_matrix, diags
 from scipy.spatial import KDTree
 
 from geometry.least_squares import factorised
 from geometry.mesh import TriangleMesh, blended, half_edges
-
-Array = np.ndarray
 
 # groups that colors fall into at most, and how far apart two groups lie at least (root mean square over the channels)
 MATERIALS, APART = 8, 0.07

@@ -9,11 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from numpy import ndarray as Array
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from bake.texture.texture_solve import Equations
-
-Array = np.ndarray
 
 # metres: standard deviation of the window that moves as one, farthest shift
 WINDOW, FARTHEST = 0.025, 0.02

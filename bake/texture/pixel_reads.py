@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
+from numpy import ndarray as Array
 from scipy.ndimage import maximum_filter
 from scipy.sparse import csr_matrix
 
@@ -28,8 +29,6 @@ from capture.folder import PartVideo
 from geometry.cells import nearest_marked
 from geometry.mesh import blended, component_labels
 from player.draw.raster import Fragments, Rasteriser
-
-Array = np.ndarray
 
 # cosine between normal and view under which a pixel says nothing
 GRAZING = 0.17

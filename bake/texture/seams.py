@@ -5,13 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer, UInt8
+from numpy import ndarray as Array
 from scipy.sparse import csr_matrix
 
 from avatar.texture import sample_texture
 from bake.texture.texels import TexelMap
 from geometry.mesh import half_edges
-
-Array = np.ndarray
 
 # weight of keeping a texel as it was sampled: one that shows surface, one that only bilinear filtering reads
 # beside it, and one of the gutter, which nothing but coarser mips reads

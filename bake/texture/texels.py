@@ -5,10 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from numpy import ndarray as Array
 
 from geometry.cells import nearest_marked
-
-Array = np.ndarray
 
 # where in a texel the color is sampled: its centre, then three places around it
 JITTER = np.array([[0.0, 0.0], [-0.1, -0.37], [0.37, 0.1], [-0.27, 0.27]])

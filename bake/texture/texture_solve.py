@@ -15,12 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
+from numpy import ndarray as Array
 from scipy.sparse import csr_matrix, diags
 
 from bake.texture.texels import TexelMap
 from geometry.least_squares import factorised
-
-Array = np.ndarray
 
 ROUNDS = 12
 # beyond the range, of its width: pixels are means, and print is a little stronger than they show it

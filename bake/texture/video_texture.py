@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
+from numpy import ndarray as Array
 from scipy.sparse import csr_matrix
 
 from avatar.camera import Camera
@@ -46,8 +47,6 @@ from capture.folder import PartVideo
 from geometry.mesh import TriangleMesh, blended, face_areas
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
-
-Array = np.ndarray
 
 # frames are averaged over k x k pixels before they are read, while a pixel stays within so many texels
 FINEST_PIXEL = 1.3

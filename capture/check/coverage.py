@@ -4,14 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from capture.check.silhouette import canonical_from_head
 from capture.folder import Capture
 from capture.template.views import part_views
 from geometry.mesh import vertex_normals
-
-Array = np.ndarray
 
 # frames that should see a point: two to place it, one to confirm
 ENOUGH = 3

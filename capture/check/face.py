@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray as Array
 from PIL import Image
 
 from avatar.camera import project
@@ -12,8 +13,6 @@ from avatar.skeleton import PARTS
 from capture.check.silhouette import canonical_from_head
 from capture.folder import Capture
 from capture.template.eyes import eye_openings, eye_spheres
-
-Array = np.ndarray
 
 # metres, of nearly all grown people
 IRIS = 0.0117

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.camera import project
 from avatar.skeleton import JOINTS, joint_transforms
@@ -18,8 +19,6 @@ from capture.check.verdict import Finding
 from capture.folder import Capture
 from capture.keypoints.read import read_keypoints
 from command.errors import AssetError
-
-Array = np.ndarray
 
 PARTS = ("body", "hand_left", "hand_right")
 # confidence from which a point is compared

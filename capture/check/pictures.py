@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray as Array
 from scipy import ndimage
-
-Array = np.ndarray
 
 # frames on either side that a frame's sharpness is compared with
 AROUND = 4

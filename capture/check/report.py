@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from jaxtyping import Bool
+from numpy import ndarray as Array
 
 from avatar.camera import project
 from avatar.similarity import similarity_from_landmarks
@@ -15,8 +16,6 @@ from capture.check.silhouette import Agreement, TemplateOutline, agreement, even
 from capture.check.unseen import UnseenPlace, frames_that_see, unseen_places
 from capture.folder import Capture
 from capture.template.surface import visible_faces
-
-Array = np.ndarray
 
 # frames of each video whose outlines are compared, at most
 COMPARED = 40

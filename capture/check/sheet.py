@@ -2,12 +2,11 @@
 
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
+from numpy import ndarray as Array
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
 from avatar.skeleton import PARTS
-
-Array = np.ndarray
 
 TEMPLATE = np.array([[255, 210, 0], [0, 220, 255], [80, 255, 80], [255, 90, 255]], np.uint8)  # one per part
 MASK = np.array([255, 40, 40], np.uint8)

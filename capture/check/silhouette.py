@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.camera import Camera
@@ -14,8 +15,6 @@ from avatar.skinning import skin_points
 from capture.folder import Capture, CaptureSubject
 from geometry.cells import distance_to, nearest_marked
 from geometry.rasterise import FaceBuffer, rasterise
-
-Array = np.ndarray
 
 # outline error of the worst posed part beyond which poses are worth refining, in pixels as `common` counts them.
 # Measured on four people: exact poses 0.3-0.5; masks eroded by 3 px 0.5, dilated by 3 px 0.9; 2 degrees of pose noise

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
@@ -12,8 +13,6 @@ from capture.check.silhouette import canonical_from_head
 from capture.folder import Capture
 from capture.template.views import part_views
 from geometry.mesh import vertex_normals
-
-Array = np.ndarray
 
 # heaviest joint of a vertex to the limb it is on, with the name of one and of both
 LIMBS = {

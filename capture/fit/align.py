@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.camera import project
@@ -32,8 +33,6 @@ from capture.folder import CaptureSubject, PartVideo
 from geometry.least_squares import NormalEquations, robust_weight
 from geometry.mesh import vertex_normals
 from geometry.rasterise import FaceBuffer, rasterise
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool
+from numpy import ndarray as Array
 
 from avatar.skeleton import JOINTS, PARTS
 from capture.fit.directions import opposite, turns_about_y
@@ -18,7 +19,6 @@ from capture.fit.standoff import body_standoff
 from capture.keypoints.record import SIDES
 from capture.read.template import part_of
 
-Array = np.ndarray
 # called after each piece of work with its name
 Report = Callable[[str], None]
 

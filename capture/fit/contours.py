@@ -5,14 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray as Array
 from scipy import ndimage
 from scipy.spatial import KDTree
 
 from avatar.camera import Camera, project
 from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
-
-Array = np.ndarray
 
 # the drawn template is this many pixels high; its own outline is exact, only what hides what is read from it
 DRAWN = 360

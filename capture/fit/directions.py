@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.rotation import matrix_from_axis_angle
 from geometry.least_squares import robust_cost, robust_weight
-
-Array = np.ndarray
 
 # metres by which a body in a T-pose may be off its points
 SLACK = 0.05

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.skeleton import PARTS
 from capture.fit import body, hand, head
@@ -24,7 +25,6 @@ from capture.fit.person import Person
 from capture.fit.priors import Priors, shared_layout, standing
 from capture.fit.solve import assemble
 
-Array = np.ndarray
 Report = Callable[[str], None]
 
 

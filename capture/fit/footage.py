@@ -4,14 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from numpy import ndarray as Array
 
 from avatar.camera import Camera
 from avatar.kinematics import ShapedSkeleton, SkinnedPoints
 from capture.fit.person import Person
 from capture.fit.points import BodyPoint, body_points
 from capture.keypoints.record import Keypoints
-
-Array = np.ndarray
 
 # pixels of a picture 1080 high: standard deviation of a detector's sure point
 SIGMA = 4.0

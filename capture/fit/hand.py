@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.skeleton import JOINTS
 from capture.fit.body import CUTS, Report, hand_vertices, rigid
@@ -19,8 +20,6 @@ from capture.fit.person import Person
 from capture.fit.priors import FROZEN, Priors, bias_of
 from capture.fit.solve import placed_rigidly, solve
 from capture.keypoints.record import hand_points
-
-Array = np.ndarray
 
 # metres by which a flat, stiff hand may be off its points
 SLACK = 0.025

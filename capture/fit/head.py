@@ -6,6 +6,7 @@ the turn goes on evenly and the outline decides. What hair adds to the template 
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.skeleton import JOINTS, PARTS
 from capture.fit.body import CUTS, Report
@@ -19,8 +20,6 @@ from capture.fit.solve import placed_rigidly, solve
 from capture.fit.standoff import scalp_standoff
 from capture.keypoints.record import FACE
 from capture.read.template import part_of
-
-Array = np.ndarray
 
 HEAD = JOINTS.index("head")
 SLACK = 0.02

@@ -5,13 +5,12 @@ sum over frames and points  rho(|p - pi(x)|^2 / s^2)        rho(e) = c^2 e / (c^
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.kinematics import Posed, pixel_rows, pose_rows, shape_rows, skinned
 from capture.fit.footage import Estimate, Footage
 from capture.fit.priors import shared_layout
 from geometry.least_squares import NormalEquations, robust_cost, robust_weight
-
-Array = np.ndarray
 
 
 def projected(estimate: Estimate, footage: Footage, frame: Posed) -> Float[Array, "points 2"]:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray as Array
 from scipy import ndimage
 from skimage.segmentation import random_walker
 
@@ -22,8 +23,6 @@ from capture.fit.align import outline_offset
 from capture.folder import CaptureSubject, PartVideo
 from geometry.cells import distance_to
 from geometry.rasterise import rasterise
-
-Array = np.ndarray
 
 # pixels of an image 256 high: masks that are off by less are believed (clean ones: .1 to .5)
 BELIEVED = 0.9

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import sparse
 
 from avatar.kinematics import pixel_rows, skinned
@@ -20,8 +21,6 @@ from capture.fit.priors import Priors
 from capture.fit.solve import posed_frames
 from geometry.least_squares import factorised, robust_weight
 from geometry.mesh import face_areas, neighbour_matrix, vertex_normals
-
-Array = np.ndarray
 
 # weights of the integral, from stiff to soft; once offsets are there, the softest is enough
 STIFFNESS = (1000.0, 100.0, 30.0)

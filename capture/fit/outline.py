@@ -4,13 +4,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage, signal
 from scipy.spatial import KDTree
 
 from capture.folder import CaptureSubject
 from geometry.mesh import vertex_normals
-
-Array = np.ndarray
 
 # standard deviations, from where on patches of the surface know nothing of each other
 REACH = 3.5

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.kinematics import Posed, pixel_rows, pose_rows, shape_rows, skinned
 from capture.fit.contours import Contour, mask_contour, silhouette
@@ -18,8 +19,6 @@ from capture.fit.footage import Estimate, Footage
 from capture.fit.priors import Priors, shared_layout
 from capture.fit.solve import posed_frames, solve
 from geometry.least_squares import NormalEquations, robust_cost, robust_weight
-
-Array = np.ndarray
 
 # pixels in a picture whose shorter side is 512, pixels
 SIGMA = 0.7

@@ -14,14 +14,13 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.body import Body, builtin_body
 from avatar.kinematics import DESCENDS
 from avatar.skeleton import JOINTS, PARENTS
 from avatar.skinning import SkinWeights, dense_weights
 from capture.read.template import TemplateMesh
-
-Array = np.ndarray
 
 # standard deviations: of a shape coefficient, its own unit; of bones, metres
 SHAPE = 1.0

@@ -14,6 +14,7 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
 
 from avatar.camera import Camera
 from avatar.limits import limits
@@ -30,8 +31,6 @@ from capture.fit.solve import assemble, placed_rigidly, solve
 from capture.keypoints.record import SIDES, Keypoints
 from capture.read.template import TemplateMesh
 from geometry.mesh import vertex_normals
-
-Array = np.ndarray
 
 TRUNK = ("hip", "shoulder", "nose", "eye", "ear")
 SLACK = 0.06

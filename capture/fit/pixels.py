@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from geometry.least_squares import robust_cost, robust_weight
-
-Array = np.ndarray
 
 
 class PixelEquations(NamedTuple):

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from avatar.body import builtin_body
 from avatar.skeleton import JOINTS
@@ -17,8 +18,6 @@ from avatar.skinning import dense_weights
 from capture.keypoints.record import SIDES
 from capture.template.eyes import body_sockets
 from geometry.mesh import vertex_normals
-
-Array = np.ndarray
 
 HEAD = JOINTS.index("head")
 # metres from the midline and height above the pelvis joint, on the male body: half a face, the person's left

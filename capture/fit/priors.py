@@ -9,14 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from avatar.kinematics import second_turns
 from avatar.limits import limits
 from avatar.skeleton import JOINTS
 from capture.fit.footage import Estimate, Footage
 from geometry.least_squares import NormalEquations, robust_cost, robust_weight
-
-Array = np.ndarray
 
 SPINE = [JOINTS.index(name) for name in ("spine1", "spine2", "spine3")]
 # standard deviations in degrees

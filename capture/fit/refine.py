@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.skeleton import PARTS
 from capture.check.silhouette import MISALIGNED, outline_errors
@@ -29,8 +30,6 @@ from command.errors import AssetError
 from command.progress import Reporter, plural
 from files.npz import read_npz
 from files.whole import whole_file
-
-Array = np.ndarray
 
 # what refined_PART.npz holds beside `frames` and `masks_off`, where there is any
 REFINED = ("axis_angle", "root", "masks", "unsure")

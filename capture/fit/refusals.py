@@ -2,14 +2,13 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import projected
 from capture.fit.solve import posed_frames
 from command.errors import AssetError
-
-Array = np.ndarray
 
 # frames that have to show enough points, and how many those are
 FRAMES, POINTS = 3, 6

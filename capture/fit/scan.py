@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Int
+from numpy import ndarray as Array
 
 from avatar.limits import axis_angle_from_joint_angles
 from avatar.rotation import axis_angle_from_matrix, rotation_between
@@ -20,8 +21,6 @@ from capture.fit.stored import fingerprint, read_estimate, read_focal, write_est
 from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
 from capture.read.template import TemplateMesh
 from command.progress import Progress, plural
-
-Array = np.ndarray
 
 # shorter sides of the picture: a phone's video, where its file does not say
 FOCAL = 1.5

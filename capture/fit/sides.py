@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from capture.fit.directions import opposite
 from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import projected
 from capture.fit.solve import posed_frames
-
-Array = np.ndarray
 
 # standard deviations beyond which a point says no more
 FAR = 10.0

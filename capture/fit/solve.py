@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.kinematics import Posed, posed, skinned, turned
 from capture.fit.directions import SLACK, Directions, find_directions, place_of
@@ -12,8 +13,6 @@ from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import add_keypoints
 from capture.fit.priors import Priors, add_priors, shared_layout
 from geometry.least_squares import NormalEquations, minimise
-
-Array = np.ndarray
 
 # a term adds itself to the equations and returns its cost
 Term = Callable[[NormalEquations, Estimate, Footage, list[Posed]], float]

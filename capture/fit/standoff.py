@@ -10,12 +10,11 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.body import builtin_body
 from avatar.skeleton import JOINTS
 from avatar.skinning import dense_weights
-
-Array = np.ndarray
 
 # metres: of the trunk, of legs, arms and feet, and of the scalp, where hair counts as standing off from there on
 TRUNK, LIMBS, SCALP = 0.10, 0.03, 0.015

@@ -4,14 +4,13 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
+from numpy import ndarray as Array
 
 from capture.fit.focal import Focal
 from capture.fit.footage import Estimate, Footage
 from capture.fit.person import Person
 from files.npz import read_npz
 from files.whole import whole_file
-
-Array = np.ndarray
 
 ARRAYS = ("g", "bias", "mean", "root", "heading", "angles")
 # raised whenever a step of the fit would answer otherwise: what an older one found is then not gone on from

@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from capture.keypoints.numbers import checked, number, triples
 from capture.keypoints.record import FACE, Keypoints, hand_points, keypoints_of, largest
 from command.errors import AssetError
-
-Array = np.ndarray
 
 BODY_17 = (
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
+from numpy import ndarray as Array
 
 from command.errors import AssetError
 from files.whole import whole_file
 
-Array = np.ndarray
 # each person's points
 People = Sequence[Sequence[Any]]
 

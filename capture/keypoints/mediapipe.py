@@ -13,8 +13,6 @@ from avatar.motion.landmark_file import FilmFacts, Frame
 from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of
 from command.errors import AssetError
 
-Array = np.ndarray
-
 # names of the 33; None: a point that no other detector has, or that its hand's own points are better for
 POSE: tuple[str | None, ...] = (
     "nose", None, "left_eye", None, None, "right_eye", None, "left_ear", "right_ear", None, None,

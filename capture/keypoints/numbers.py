@@ -4,11 +4,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from capture.keypoints.record import LARGEST
 from command.errors import AssetError
-
-Array = np.ndarray
 
 
 def triples(place: str, value: Any, points: int) -> Float[Array, "points 3"]:

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from capture.keypoints.numbers import triples
 from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of, largest
 from command.errors import AssetError
-
-Array = np.ndarray
 
 BODY_25 = (
     "nose shoulders right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist hips right_hip "

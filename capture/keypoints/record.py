@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-
-Array = np.ndarray
+from numpy import ndarray as Array
 
 SIDES = ("left", "right")
 FACE = tuple(f"face_{k:02d}" for k in range(68))

@@ -14,14 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from avatar.light import EXPONENT, STRONGEST, CaptureLight, Frame, lamps_of
 from avatar.skeleton import PARTS
 from capture.folder import Capture
 from capture.light.frames import light_frame
 from capture.light.pixels import LitPixels, lit_pixels
-
-Array = np.ndarray
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2)
 ROUNDS = 14

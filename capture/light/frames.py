@@ -2,14 +2,13 @@
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.light import Frame
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, skin_transforms
 from capture.check.silhouette import canonical_from_head as landmark_registration
 from capture.folder import Capture
-
-Array = np.ndarray
 
 # a phone in the hand sways by a few degrees; one that is carried round the person turns by all of them
 SWAY = np.radians(20.0)

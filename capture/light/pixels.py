@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.camera import Camera, pixel_rays
@@ -14,8 +15,6 @@ from capture.folder import Capture
 from capture.light.frames import light_from_video
 from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
-
-Array = np.ndarray
 
 # out of 255: brighter ones may have been clipped, which looks like a darker skin
 CLIPPED = 249

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.light import CaptureLight
 from avatar.skeleton import PARTS
@@ -17,8 +18,6 @@ from capture.folder import Capture
 from capture.light.frames import light_frame
 from capture.light.pixels import LitPixels, video_pixels
 from geometry.harmonic import anchored, fill_harmonic
-
-Array = np.ndarray
 
 # a video gives at most so many; twenty for each triangle that it may show
 PIXELS = 300_000

@@ -4,14 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from capture.keypoints.record import Keypoints
 from capture.raw.video_file import VideoFile, read_frames
 from command.errors import AssetError
 from command.progress import Progress
-
-Array = np.ndarray
 
 # pixels: height of the pictures kept, and of those that sharpness is measured on
 SMALL, FINE = 160, 480

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from capture.keypoints.record import SIDES, hand_points
 from capture.raw.glance import SURE, Glance
-
-Array = np.ndarray
 
 # share of the frames with a person from which a problem is named, and from which the video is refused
 SOME, MOST = 0.05, 0.35
@@ -117,9 +116,7 @@ def judge(at: Glance) -> Judged:
     limit = STILL * min(at.video.size) / 1080
     if moved is not None and moved.max() > limit:
         first = float(at.times[_stands(at)[int(np.argmax(moved > limit))]])
-        add(
-            True, f"the camera moves, by {moved.max():.0f} pixels from {first:.1f} s on", "put the phone on a tripod"
-        )
+        add(True, f"the camera moves, by {moved.max():.0f} pixels from {first:.1f} s on", "put the phone on a tripod")
     if not empty.any():
         advice = "masks without it are rough: film a second of it before you step in, or bring masks of another tool"
         add(False, "the empty room is in no frame", advice)

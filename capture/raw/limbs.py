@@ -2,12 +2,11 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from capture.keypoints.record import SIDES, Keypoints
 from capture.raw.glance import SURE
-
-Array = np.ndarray
 
 # shares of the trunk's length: the hull round limbs, and round a head; a line of limbs, of fingers
 HULL, HEAD_HULL, CORE, FINGER_CORE = 0.42, 0.75, 0.05, 0.006

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray as Array
 from scipy import ndimage
 from skimage.segmentation import random_walker
 
@@ -21,8 +22,6 @@ from capture.raw.glance import SURE
 from capture.raw.limbs import hull, lines
 from capture.raw.plate import Plate, smoothed
 from geometry.cells import distance_to, nearest_marked
-
-Array = np.ndarray
 
 # pixels: height of the pictures that the walk goes through
 WALKED = 300

@@ -6,13 +6,12 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from capture.keypoints.record import Keypoints
 from capture.raw.limbs import hull
 from capture.raw.video_file import VideoFile, read_frames
-
-Array = np.ndarray
 
 # frames that a plate is made of, and how many must show a pixel free for it to be known
 FRAMES, FREE = 15, 3

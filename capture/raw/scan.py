@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray as Array
 
 from avatar.camera import Camera
 from avatar.skeleton import PARTS
@@ -19,8 +19,6 @@ from capture.keypoints.record import Keypoints
 from capture.read.template import TemplateMesh
 from command.errors import AssetError
 from files.picture import read_picture
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

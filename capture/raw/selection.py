@@ -4,12 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from capture.raw.glance import SURE, Glance
 from capture.raw.judge import BLURRED, Judged
-
-Array = np.ndarray
 
 # seconds over which keypoints are averaged before their way is measured: detectors tremble
 STEADY = 0.4

@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
+from numpy import ndarray as Array
 
 from command.errors import AssetError
 from files.input_file import open_film
 from files.picture import MAX_PIXELS
-
-Array = np.ndarray
 
 WHAT = "a video (H.264 or H.265 in .mp4 or .mov, as a phone writes it)"
 # an hour at 60 frames a second: as many are counted

@@ -4,11 +4,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray as Array
 
 from command.errors import AssetError
 from files.npz import read_npy
-
-Array = np.ndarray
 
 
 def numbers(path: Path, what: str, shape: tuple[int | None, ...]) -> Array:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.body import Body
 from avatar.skeleton import BIG_POSE, PARENTS, skin_transforms
@@ -14,8 +15,6 @@ from avatar.skinning import SkinWeights, strongest_four, unskin_points
 from capture.read.authors_files import numbers
 from capture.read.template import LICENSED, TemplateMesh, check_height
 from command.errors import AssetError
-
-Array = np.ndarray
 
 # metres: bigpose_bw reaches this far round the vertices, in such cells
 GRID_MARGIN, GRID_CELL = 0.05, 0.025

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray as Array
 from scipy import ndimage
 from scipy.spatial import KDTree
 
@@ -18,8 +19,6 @@ from avatar.skinning import skin_points
 from capture.raw.scan import FittedVideo
 from capture.read.template import TemplateMesh
 from geometry.rasterise import rasterise
-
-Array = np.ndarray
 
 # metres of forearm that belong to a hand, and beside a part's outline that may be it; hair stands off a head farther,
 # as far as it lies over the chin: what hangs lower is the body's video's, and so is the neck, from which the head turns

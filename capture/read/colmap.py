@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, checked_camera
 from avatar.rotation import matrix_from_quaternion
 from command.errors import AssetError
 from files.input_file import read_bytes
-
-Array = np.ndarray
 
 MAX_BYTES = 1 << 30  # a file's
 MODELS = (  # name by number, parameters

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.body import Body, shaped
 from avatar.camera import Camera
@@ -31,8 +32,6 @@ from capture.read.places import SPOTS, landmark_vertices
 from capture.read.template import TemplateMesh, body_template, check_height
 from command.errors import AssetError
 from files.picture import picture_size
-
-Array = np.ndarray
 
 # taken from a video without a choice
 MOST_FRAMES = 100

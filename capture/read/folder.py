@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 from PIL import Image
 
 from avatar.camera import Camera, project, write_cameras
@@ -16,8 +17,6 @@ from command.progress import Progress
 from files.input_file import name_order
 from files.picture import read_picture
 from files.whole import whole_file, whole_folder, write_json
-
-Array = np.ndarray
 
 PICTURES = (".png", ".jpg", ".jpeg")
 NEAREST, FARTHEST = 0.1, 30.0  # metres between a camera and what it films

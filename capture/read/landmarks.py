@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, pixel_rays, project
 from command.errors import AssetError
 from files.input_file import read_json
-
-Array = np.ndarray
 
 MAX_BYTES = 1 << 22
 LEAST = 6  # landmarks

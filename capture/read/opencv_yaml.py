@@ -18,13 +18,12 @@ import re
 from pathlib import Path
 
 import numpy as np
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, checked_camera
 from avatar.rotation import matrix_from_axis_angle
 from command.errors import AssetError
 from files.input_file import read_text
-
-Array = np.ndarray
 
 MAX_BYTES = 1 << 20
 MAX_VALUES = 1024  # one matrix'

@@ -2,8 +2,7 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
-
-Array = np.ndarray
+from numpy import ndarray as Array
 
 # metres from the tip of the nose; +x is the person's left, +z forward
 SPOTS = {

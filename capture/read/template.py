@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray as Array
 
 from avatar.body import Body
 from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, PARTS, RIGHT_HAND
 from avatar.skinning import SkinWeights
 from command.errors import AssetError
 from files.whole import whole_file
-
-Array = np.ndarray
 
 HEIGHT = (1.0, 2.5)  # metres, of a person in a T-pose
 LICENSED = "fitted with a licensed body model ({}): avatars made from it are not redistributable without its licence"

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.body import Body
@@ -39,8 +40,6 @@ from command.errors import AssetError
 from files.input_file import read_json_object
 from files.npz import read_npy
 from files.picture import picture_size
-
-Array = np.ndarray
 
 FOLDERS = {"body": ".", "head": "face", "hand_left": "hand/handl", "hand_right": "hand/handr"}
 # start, step, number: what the released configurations train on

@@ -29,7 +29,6 @@ from command.progress import Progress
 from files.picture import read_picture
 from files.whole import check_folder, whole_file
 
-Array = np.ndarray
 # most frames whose points alone are used, and seconds from one to the next: a detector's errors last about as long
 TRACK, APART = 120, 0.1
 # what was filmed and a folder for finished steps, to the person

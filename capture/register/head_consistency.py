@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.camera import Camera, project
@@ -28,8 +29,6 @@ from geometry.icp import Anchors
 from geometry.least_squares import robust_cost, robust_weight
 from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
-
-Array = np.ndarray
 
 FRAMES = 20  # at most, spread over the video
 # pixels, standard deviation; a blur lets the slope of the picture reach as far as the template may be off

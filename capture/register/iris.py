@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.camera import Camera, project
@@ -21,8 +22,6 @@ from capture.folder import CaptureSubject, PartVideo
 from capture.template.eyes import EyeSpheres, eye_covers, eye_spheres, face_forward, first_hits
 from capture.template.hull import moved_camera
 from geometry.least_squares import robust_cost, robust_weight
-
-Array = np.ndarray
 
 # half-angles that are tried: an iris of 3 to 9 mm radius; 0 is the sphere
 ANGLES = np.radians([0.0, *range(12, 33)])

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.camera import Camera, project
@@ -26,8 +27,6 @@ from capture.folder import CaptureSubject, PartVideo
 from capture.register.placement import PlaceEquations, refine
 from geometry.icp import Anchors
 from geometry.rasterise import rasterise
-
-Array = np.ndarray
 
 HEAD = JOINTS.index("head")
 # drawn so many times finer than the frame, then averaged
@@ -142,9 +141,7 @@ def _add_frame(
     turn = B[HEAD, :3, :3]  # the head follows its bone (Eq. 4)
     motion = pixel_rows(camera, posed[corners].mean(1))[1] @ turn @ equations.rows(placed[corners].mean(1))
 
-    def add(
-        drawn: Float[Array, "height width"], seen: Float[Array, "height width"], where: Bool[Array, "n"]
-    ) -> None:
+    def add(drawn: Float[Array, "height width"], seen: Float[Array, "height width"], where: Bool[Array, "n"]) -> None:
         found = compare_pixels(drawn, seen, (y[where], x[where]), OUTLIER)
         J = np.einsum("ni,nij->nj", found.slope, motion[where])
         equations.add(J, found.residual, found.weight / PIXEL**2)

@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.similarity import similarity_rows, small_similarity
 from geometry.icp import Anchors
-
-Array = np.ndarray
 
 # metres: a head's size, at which turn and scale are counted
 ARM = 0.1

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage, sparse
 
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
@@ -34,8 +35,6 @@ from capture.template.surface import SurfaceCloud, surface_cloud, visible_faces
 from geometry.cells import distance_to
 from geometry.isosurface import zero_set_mesh
 from geometry.mesh import TriangleMesh, neighbour_matrix
-
-Array = np.ndarray
 
 CELL = 0.01  # metres, the template's distance
 FINE = 0.007  # metres, the grid on which cloth is carved

@@ -9,13 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.body import builtin_body
 from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from avatar.skinning import dense_weights
 from capture.folder import CaptureSubject
-
-Array = np.ndarray
 
 HEAD = JOINTS.index("head")
 # metres: an eyeball, from a child's to a cartoon's

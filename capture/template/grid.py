@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from capture.folder import CaptureSubject
@@ -11,8 +12,6 @@ from capture.template.surface import SurfaceCloud, air_beyond
 from geometry.cells import distance_to
 from geometry.sample import lattice_samples
 from geometry.winding import winding_grid
-
-Array = np.ndarray
 
 # winding numbers of what is surely out of the person and surely in it
 OUTSIDE, INSIDE = 0.25, 0.75

@@ -18,13 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.camera import Camera, project
 from capture.folder import CaptureSubject
 from geometry.rasterise import rasterise
-
-Array = np.ndarray
 
 # pixels of a view, at most, along the longer side: a cell of 6 mm is about 4 pixels of 256
 SMALL = 128

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.camera import Camera, project
@@ -25,8 +26,6 @@ from capture.template.surface import surface_cloud, visible_faces
 from geometry.cells import distance_to
 from geometry.isosurface import zero_set_mesh
 from geometry.mesh import TriangleMesh
-
-Array = np.ndarray
 
 HEAD = JOINTS.index("head")
 CELL = 0.006  # metres, of the carved grid

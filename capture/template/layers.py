@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.skeleton import JOINTS, PARTS
@@ -33,7 +34,6 @@ from geometry.cells import distance_to
 from geometry.harmonic import anchored, fill_harmonic
 from geometry.mesh import vertex_normals
 
-Array = np.ndarray
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
 BODY, HAIR = 0, 1

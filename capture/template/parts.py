@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

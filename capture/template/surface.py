@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 from scipy.spatial import KDTree
 
@@ -16,8 +17,6 @@ from capture.folder import CaptureSubject
 from geometry.cells import connected_to, nearest_marked
 from geometry.mesh import face_areas, face_normals, vertex_normals
 from geometry.sample import lattice_samples
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

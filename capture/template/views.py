@@ -13,13 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, project
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, blended_transforms
 from capture.folder import CaptureSubject, PartVideo
-
-Array = np.ndarray
 
 
 class ViewStatistics(NamedTuple):
