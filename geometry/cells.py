@@ -20,8 +20,14 @@ def nearest_marked(marked: Bool[Array, "*cells"]) -> tuple[Int[Array, "..."], ..
     return tuple(index[axis] for axis in range(marked.ndim))
 
 
+def pieces(marked: Bool[Array, "*cells"], reach: int = 1) -> Int[Array, "*cells"]:
+    """Connected pieces of the marked cells, numbered from 1: through faces, with reach 3 also edges and corners."""
+    label = np.empty(marked.shape, np.int32)
+    ndimage.label(marked, ndimage.generate_binary_structure(marked.ndim, reach), output=label)
+    return label
+
+
 def connected_to(free: Bool[Array, "*cells"], start: tuple[int, ...]) -> Bool[Array, "*cells"]:
     """The free cells that are reached from the cell `start` through faces of free cells (flood fill)."""
-    label = np.empty(free.shape, np.int32)
-    ndimage.label(free, output=label)
+    label = pieces(free)
     return label == label[start]

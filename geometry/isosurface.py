@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 from numpy import ndarray as Array
-from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, generate_binary_structure, label
+from scipy.ndimage import binary_dilation, find_objects
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from command.errors import AssetError
+from geometry.cells import distance_to, pieces
 from geometry.mesh import (
     TriangleMesh,
     concatenated,
@@ -191,30 +192,20 @@ def slits_filled(
         return volume, 0
     filled = volume.copy()
     count = 0
-    groups = _pieces(binary_dilation(ends, iterations=4), 1)
+    groups = pieces(np.asarray(binary_dilation(ends, iterations=4), bool))
     pad = int(4 * reach) + 8
     for box in find_objects(groups):
         box = tuple(slice(max(s.start - pad, 0), s.stop + pad) for s in box)
         here = air[box]
         # air that a ball of `reach` samples fills when it rolls in from where there is room
-        room = _inside_by(here) > reach
-        wide = _inside_by(~room) <= reach if room.any() else np.zeros_like(here)
-        pieces = _pieces(here & ~wide, 3)
-        slit = np.isin(pieces, np.setdiff1d(np.unique(pieces[ends[box]]), [0]))
+        room = distance_to(~here) > reach
+        wide = distance_to(room) <= reach if room.any() else np.zeros_like(here)
+        found = pieces(here & ~wide, 3)
+        slit = np.isin(found, np.setdiff1d(np.unique(found[ends[box]]), [0]))
         step = min(float(np.diff(axis).min()) for axis in axes)
         count += int((slit & (filled[box] > 0)).sum())
         filled[box][slit] = -0.5 * step
     return filled, count
-
-
-def _inside_by(mask: Bool[Array, "x y z"]) -> Float[Array, "x y z"]:
-    """Distance of each sample to the nearest one outside the mask, in samples."""
-    return np.asarray(distance_transform_edt(mask), np.float64)
-
-
-def _pieces(mask: Bool[Array, "x y z"], connectivity: int) -> Integer[Array, "x y z"]:
-    """Connected pieces of the mask, numbered from 1: through faces (1) or also edges and corners (3)."""
-    return np.asarray(label(mask, generate_binary_structure(3, connectivity))[0])  # type: ignore[index]
 
 
 def zero_set_mesh(volume: Float[Array, "x y z"], axes: Sequence[Array]) -> TriangleMesh:
@@ -299,10 +290,10 @@ def extract(
     whole = zero_set_mesh(volume, axes)
     mesh, islands, island_area = largest_component(whole)
     if least is not None:
-        pieces = separate_pieces(whole, least)
-        if not pieces:
+        kept = separate_pieces(whole, least)
+        if not kept:
             raise AssetError(f"field: no piece of its surface has {least * 1e4:.0f} square centimetres")
-        mesh, islands = concatenated(pieces), islands + 1 - len(pieces)
+        mesh, islands = concatenated(kept), islands + 1 - len(kept)
         island_area = 1 - float(face_areas(*mesh).sum() / face_areas(*whole).sum())
     if enclosed_volume(mesh) <= 0:
         raise AssetError(

@@ -45,6 +45,11 @@ def face_areas(vertices: Float[Array, "vertices 3"], faces: Integer[Array, "face
     return 0.5 * np.linalg.norm(area_normals(vertices, faces), axis=1)
 
 
+def vertex_areas(vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"]) -> Float[Array, "vertices"]:
+    """A third of the area of the faces round each vertex."""
+    return np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces) / 3, 3), minlength=len(vertices))
+
+
 def vertex_normals(
     vertices: Float[Array, "vertices 3"],
     faces: Integer[Array, "faces 3"],

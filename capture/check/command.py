@@ -1,6 +1,7 @@
 """`selfscan check`: is this capture usable?"""
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 from PIL import Image
@@ -8,13 +9,13 @@ from PIL import Image
 from capture.check.face import FaceReport, close_ups, face_line
 from capture.check.keypoints import Followed, compare_keypoints, keypoint_findings, keypoint_lines
 from capture.check.options import CheckCommand
-from capture.check.raw_videos import examine_videos, usable, verdict_line, video_lines
 from capture.check.report import CaptureReport, PartReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
 from capture.check.silhouette import even
-from capture.check.verdict import Verdict, verdict
+from capture.check.verdict import verdict
 from capture.folder import Capture, read_capture
-from capture.raw.four_videos import holds_videos
+from capture.raw.four_videos import examine_videos, holds_videos
+from capture.raw.judge import Verdict, verdict_of
 from command.errors import AssetError
 from files.whole import check_file, check_folder, whole_file, write_json
 
@@ -33,41 +34,40 @@ def check_capture(arguments: CheckCommand) -> int:
         report = examine(capture)
     except ValueError as error:  # the landmarks determine nothing
         raise AssetError(f"{capture.path / 'head' / 'landmarks.json'}: {error}") from None
-    judged = verdict(report)
     followed = compare_keypoints(capture, arguments.keypoints, report) if arguments.keypoints else ()
-    judged = Verdict(tuple(sorted((*judged.findings, *keypoint_findings(followed)), key=lambda f: not f.fatal)))
+    judged = verdict_of((*verdict(report).findings, *keypoint_findings(followed)))
     print("\n".join(lines(report, judged, followed)))
     facts = {"capture": str(capture.path), "usable": judged.usable, "verdict": judged.line(),
              "findings": [vars(finding) for finding in judged.findings],
              "keypoints": [vars(part) for part in followed], **report_facts(report)}  # fmt: skip
-    files = [arguments.json] if arguments.json else []
+    _write_facts(arguments, facts)
     if arguments.out:
         out = arguments.out
-        out.mkdir(exist_ok=True)
-        files.append(out / "check.json")
         write_overlays(out / "overlays.png", capture, report)
         print(f"{out / 'overlays.png'}: outline of the mask red, of the template's parts in other colors")
         if report.face is not None and report.face.shown:
             write_face(out / "face.png", capture, report.face)
             print(f"{out / 'face.png'}: the face at 512 pixels, as the head's video shows it")
-    for path in files:
-        write_json(path, facts)
     return 0 if judged.usable else 1
 
 
 def _check_videos(arguments: CheckCommand) -> int:
     """Judge videos as filmed."""
-    judged = examine_videos(arguments.capture, arguments.keypoints)
-    print("\n".join(video_lines(judged)))
-    facts = {"videos": {part: at.facts() for part, at in judged.items()}, "usable": usable(judged),
-             "verdict": verdict_line(judged)}  # fmt: skip
-    files = [arguments.json] if arguments.json else []
+    videos = examine_videos(arguments.capture, arguments.keypoints)
+    judged = verdict_of(replace(p, part=at.glance.video.name) for at in videos.values() for p in at.problems)
+    print("\n".join([*(at.line() for at in videos.values()), "", *judged.lines()]))
+    facts = {"videos": {part: at.facts() for part, at in videos.items()}, "usable": judged.usable,
+             "verdict": judged.line()}  # fmt: skip
+    _write_facts(arguments, facts)
+    return 0 if judged.usable else 1
+
+
+def _write_facts(arguments: CheckCommand, facts: dict) -> None:
+    if arguments.json:
+        write_json(arguments.json, facts)
     if arguments.out:
         arguments.out.mkdir(exist_ok=True)
-        files.append(arguments.out / "check.json")
-    for path in files:
-        write_json(path, facts)
-    return 0 if usable(judged) else 1
+        write_json(arguments.out / "check.json", facts)
 
 
 def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...] = ()) -> list[str]:
@@ -96,10 +96,7 @@ def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...]
     if report.unseen:
         out += ["", "hardly seen; the avatar gets the color of what lies round it there:"]
         out += [f"  {place.line()}" for place in report.unseen]
-    out += ["", judged.line()]
-    for finding in judged.findings:
-        out.append(f"  {finding.part}: {finding.what}: {finding.advice}")
-    return out
+    return [*out, "", *judged.lines()]
 
 
 def _histograms(parts: list[PartReport]) -> list[str]:

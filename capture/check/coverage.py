@@ -10,7 +10,7 @@ from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from capture.check.silhouette import canonical_from_head
 from capture.folder import Capture
 from capture.template.views import part_views
-from geometry.mesh import vertex_normals
+from geometry.mesh import vertex_areas, vertex_normals
 
 # frames that should see a point: two to place it, one to confirm
 ENOUGH = 3
@@ -42,7 +42,7 @@ def coverage(capture: Capture, part: str, visible: Bool[Array, "faces"]) -> Cove
     anywhere = np.broadcast_to(video.masks.any((1, 2), keepdims=True), video.masks.shape)
     in_view = replace(video, masks=anywhere)
     sums = part_views(in_view, subject, subject.vertices, normals, subject.skin, own, transform)
-    area = _vertex_areas(subject.vertices, subject.faces[visible]) * own
+    area = vertex_areas(subject.vertices, subject.faces[visible]) * own
     seen = float(area[sums.count >= ENOUGH].sum() / max(area.sum(), 1e-12))
     towards = camera_directions(capture, part)
     azimuth, elevation = turn_angles(towards, part)
@@ -86,10 +86,3 @@ def largest_gap(azimuth: Float[Array, "frames"]) -> float:
     """Degrees of the largest arc without a frame; 360 for a single direction."""
     order = np.sort(azimuth)
     return float(np.degrees(np.diff(np.append(order, order[0] + 2 * np.pi)).max()))
-
-
-def _vertex_areas(vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"]) -> Float[Array, "vertices"]:
-    """A third of the area of the faces round each vertex."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    return np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))

@@ -15,9 +15,9 @@ from numpy import ndarray as Array
 from avatar.camera import project
 from avatar.skeleton import JOINTS, joint_transforms
 from capture.check.report import CaptureReport
-from capture.check.verdict import Finding
 from capture.folder import Capture
 from capture.keypoints.read import read_keypoints
+from capture.raw.judge import Finding
 from command.errors import AssetError
 
 PARTS = ("body", "hand_left", "hand_right")

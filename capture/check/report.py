@@ -40,10 +40,8 @@ class PartReport:
     worst: tuple[int, ...]
     # share of the template's part that the masks leave out, median over frames
     outside: float
-    exchanged: (
-        # the other hand's masks fit this hand's poses better, or its pictures show the other hand
-        bool
-    )
+    # the other hand's masks fit this hand's poses better, or its pictures show the other hand
+    exchanged: bool
     empty: tuple[int, ...]
     # frames whose mask has another size than the template explains
     jumps: tuple[int, ...]

@@ -12,9 +12,9 @@ from avatar.camera import Camera
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
-from capture.folder import Capture, CaptureSubject
+from capture.folder import Capture
 from geometry.cells import distance_to, nearest_marked
-from geometry.rasterise import FaceBuffer, rasterise
+from geometry.rasterise import rasterise
 
 # outline error of the worst posed part beyond which poses are worth refining, in pixels as `common` counts them.
 # Measured on four people: exact poses 0.3-0.5; masks eroded by 3 px 0.5, dilated by 3 px 0.9; 2 degrees of pose noise
@@ -31,10 +31,8 @@ class Agreement(NamedTuple):
     edge: float
     # median of that distance with sign: positive where the template is the larger
     offset: float
-    spread: (
-        # mean departure from the offset: what a wrong pose gives and a wrong mask threshold does not
-        float
-    )
+    # mean departure from the offset: what a wrong pose gives and a wrong mask threshold does not
+    spread: float
     # intersection over union of the areas near the part
     iou: float
     # area of the mask over area of the template, near the part
@@ -52,19 +50,11 @@ class TemplateOutline:
     step: int  # pixels of the image between compared ones
 
 
-def misalignment(capture: Capture, frames: int = 4) -> float:
-    """TemplateOutline error (`spread`) of the worst posed part over a few frames, in `common` pixels.
-
-    Beyond MISALIGNED the poses (or the template) do not explain the silhouettes. The head has no pose, and its
-    outline is that of the hair, which no template has: it is left out.
-    """
-    return max(error for part, error in outline_errors(capture, frames).items() if part != "head")
-
-
 def outline_errors(capture: Capture, frames: int = 4) -> dict[str, float]:
     """Mean outline error (`spread`) of each part over `frames` even frames, in `common` pixels.
 
-    A part whose outlines are never both in the image is infinitely far off.
+    Beyond MISALIGNED the poses (or the template) do not explain the silhouettes; but for the head, whose outline is
+    that of the hair, which no template has. A part whose outlines are never both in the image is infinitely far off.
     """
     return {part: _outline_error(capture, part, frames) for part in capture.videos}
 
@@ -98,7 +88,9 @@ def outline(capture: Capture, part: str, frame: int) -> TemplateOutline:
         whole = (columns * step, rows * step)
         camera = Camera(camera.K, camera.camera_from_world, whole, camera.distortion).resized((columns, rows))
     drawn = rasterise(posed_template(capture, part, frame), capture.subject.faces, camera)
-    parts = drawn_parts(drawn, capture.subject)
+    # of each face the majority of its three vertices
+    part_of_face = np.sort(capture.subject.part[capture.subject.faces], 1)[:, 1]
+    parts = np.where(drawn.face >= 0, part_of_face[drawn.face], -1)
     found = agreement(parts, mask, PARTS.index(part))
     pixels = found._replace(edge=step * found.edge, offset=step * found.offset, spread=step * found.spread)
     return TemplateOutline(frame, pixels, parts, step)
@@ -124,13 +116,6 @@ def canonical_from_head(capture: Capture) -> Float[Array, "4 4"]:
     assert video.landmarks is not None and video.landmark_vertices is not None
     target = capture.subject.vertices[video.landmark_vertices]
     return similarity_from_landmarks(video.landmarks, target).transform
-
-
-def drawn_parts(drawn: FaceBuffer, subject: CaptureSubject) -> Int[Array, "height width"]:
-    """Part of the template at each pixel, -1 where there is none."""
-    # the majority of the three
-    of_face = np.sort(subject.part[subject.faces], 1)[:, 1]
-    return np.where(drawn.face >= 0, of_face[drawn.face], -1)
 
 
 def agreement(parts: Int[Array, "height width"], mask: Bool[Array, "height width"], part: int) -> Agreement:

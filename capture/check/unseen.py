@@ -12,7 +12,7 @@ from capture.check.coverage import ENOUGH
 from capture.check.silhouette import canonical_from_head
 from capture.folder import Capture
 from capture.template.views import part_views
-from geometry.mesh import vertex_normals
+from geometry.mesh import face_areas, face_normals, vertex_normals
 
 # heaviest joint of a vertex to the limb it is on, with the name of one and of both
 LIMBS = {
@@ -78,11 +78,8 @@ def unseen_places(
 
     `frames` are how many see each vertex, `visible` the faces that can be seen at all (all of them for None).
     """
-    corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = 0.5 * np.linalg.norm(cross, axis=1)
-    area = area if visible is None else area * visible
-    facing = _sides(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-12))
+    area = face_areas(vertices, faces) * (1 if visible is None else visible)
+    facing = _sides(face_normals(vertices, faces))
     missed = (frames < ENOUGH)[faces].mean(1)
     joint = skin.heaviest[faces[:, 0]]
     found = []

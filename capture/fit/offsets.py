@@ -20,7 +20,7 @@ from capture.fit.outline_term import SIGMA, Outlines, Pairs
 from capture.fit.priors import Priors
 from capture.fit.solve import posed_frames
 from geometry.least_squares import factorised, robust_weight
-from geometry.mesh import face_areas, neighbour_matrix, vertex_normals
+from geometry.mesh import neighbour_matrix, vertex_areas, vertex_normals
 
 # weights of the integral, from stiff to soft; once offsets are there, the softest is enough
 STIFFNESS = (1000.0, 100.0, 30.0)
@@ -43,8 +43,7 @@ def bilaplacian(vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3
     weight = weight / np.maximum(degree[near.row], 1)
     L = sparse.coo_matrix((weight, (near.row, near.col)), shape=(count, count)).tocsr()
     L = L - sparse.diags(np.asarray(L.sum(1)).ravel())
-    area = np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces) / 3, 3), minlength=count)
-    return (L.T @ sparse.diags(area) @ L).tocsc()
+    return (L.T @ sparse.diags(vertex_areas(vertices, faces)) @ L).tocsc()
 
 
 def fit_offsets(

@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from capture.keypoints.numbers import checked, number, triples
-from capture.keypoints.record import FACE, Keypoints, hand_points, keypoints_of, largest
+from capture.keypoints.record import FACE, Keypoints, checked, hand_points, keypoints_of, largest, number, triples
 from command.errors import AssetError
 
 BODY_17 = (

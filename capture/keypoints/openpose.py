@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from capture.keypoints.numbers import triples
-from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of, largest
+from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of, largest, triples
 from command.errors import AssetError
 
 BODY_25 = (

@@ -7,10 +7,13 @@ Beside them: nose, eyes, ears; `shoulders` and `hips`, the middles that some det
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
+
+from command.errors import AssetError
 
 SIDES = ("left", "right")
 FACE = tuple(f"face_{k:02d}" for k in range(68))
@@ -80,3 +83,29 @@ def largest(people: list[Float[Array, "points 3"]], notes: list[str]) -> tuple[F
     order = sorted(range(len(people)), key=lambda k: float(np.prod(extents[k])), reverse=True)
     first, second = (float(np.linalg.norm(extents[k])) for k in order[:2])
     return people[order[0]], second / first if first > 0 else 0.0
+
+
+def triples(place: str, value: Any, points: int) -> Float[Array, "points 3"]:
+    """`points` times x, y, confidence in one list of numbers.
+
+    Raises:
+        AssetError: another length, or what is no finite number; the message begins with `place`.
+    """
+    if not isinstance(value, list) or len(value) != 3 * points:
+        found = f"{len(value)} numbers" if isinstance(value, list) else repr(value)[:40]
+        raise AssetError(f"{place} should be {points} times x, y, confidence, is {found}")
+    return checked(place, np.reshape([number(place, v) for v in value], (points, 3)))
+
+
+def number(place: str, value: Any) -> float:
+    """A finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+        raise AssetError(f"{place} should be finite numbers below {LARGEST:g}, has {str(value)[:40]!r}")
+    return float(value)
+
+
+def checked(place: str, rows: Float[Array, "points 3"]) -> Float[Array, "points 3"]:
+    """The rows, if no confidence is negative."""
+    if (rows[:, 2] < 0).any():
+        raise AssetError(f"{place}: confidence should not be negative, is {rows[:, 2].min():g}")
+    return rows

@@ -10,7 +10,7 @@ from capture.keypoints.read import read_keypoints
 from capture.keypoints.record import Keypoints
 from capture.raw.glance import Glance, glance
 from capture.raw.judge import Judged, judge
-from capture.raw.video_file import VideoFile
+from capture.raw.video_file import VideoFile, open_video
 from command.errors import AssetError
 from command.progress import Progress
 from files.npz import read_npz
@@ -66,6 +66,20 @@ def part_keypoints(folder: Path, part: str, video: VideoFile) -> Keypoints:
                     raise AssetError(f"{path}: keypoints of {found.size} pictures, {video.path} has {video.size}")
                 return found
     raise AssetError(f"{folder / part}: expected {KEYPOINTS}, found nothing of {video.name}")
+
+
+def examine_videos(paths: Sequence[Path], keypoints: Path | None) -> dict[str, Judged]:
+    """Judge four videos; without `keypoints` those beside them, in a folder of that name, are taken.
+
+    Raises:
+        AssetError: a video or its keypoints cannot be read.
+    """
+    files = find_videos(paths)
+    folder = files["body"].parent / "keypoints" if keypoints is None else keypoints
+    videos = {part: open_video(path) for part, path in files.items()}
+    if not folder.is_dir():
+        raise AssetError(f"{folder}: expected {KEYPOINTS}; --keypoints DIR says where they are")
+    return judge_videos(videos, {part: part_keypoints(folder, part, video) for part, video in videos.items()})
 
 
 def judge_videos(

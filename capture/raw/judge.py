@@ -1,6 +1,6 @@
 """Can these videos become a person? What is found is said so that it can be acted on: what, when, what to do."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,8 +39,8 @@ CALLED = {"body": "the body", "head": "the head", "hand_left": "the left hand", 
 
 
 @dataclass(frozen=True)
-class Problem:
-    """Something about a video."""
+class Finding:
+    """Something to act on, of one video or part of a capture."""
 
     part: str
     fatal: bool
@@ -48,8 +48,37 @@ class Problem:
     advice: str
 
     def line(self, name: str) -> str:
-        """The problem as a sentence about a file."""
+        """The finding as a sentence about a file."""
         return f"{name}: {self.what}; {self.advice}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The findings, worst first, and what follows."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def usable(self) -> bool:
+        return not any(finding.fatal for finding in self.findings)
+
+    def line(self) -> str:
+        """The verdict in one line."""
+        if not self.findings:
+            return "usable"
+        reasons = [f for f in self.findings if f.fatal] or list(self.findings)
+        said = "; ".join(f"{f.part}: {f.what}" for f in reasons[:3])
+        more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
+        return ("usable, but " if self.usable else "not usable because ") + said + more
+
+    def lines(self) -> list[str]:
+        """The verdict in one line, then what to do about each finding."""
+        return [self.line(), *(f"  {f.part}: {f.what}: {f.advice}" for f in self.findings)]
+
+
+def verdict_of(findings: Iterable[Finding]) -> Verdict:
+    """The verdict that findings give."""
+    return Verdict(tuple(sorted(findings, key=lambda finding: not finding.fatal)))
 
 
 @dataclass(frozen=True)
@@ -61,7 +90,17 @@ class Judged:
     empty: Bool[Array, "frames"]
     # frames that can be fitted: one person is there, whole and sharp
     usable: Bool[Array, "frames"]
-    problems: tuple[Problem, ...]
+    problems: tuple[Finding, ...]
+
+    def line(self) -> str:
+        """The video in one line."""
+        facts, video = self.facts(), self.glance.video
+        width, height = video.size
+        return (
+            f"{video.name:<10} {width} x {height}, {video.rate:.0f} frames/s, {facts['seconds']:.1f} s; "
+            f"empty room {facts['empty'] / video.rate:.1f} s; the person in {facts['with_person']} frames, "
+            f"{facts['usable']} can be used"
+        )
 
     def facts(self) -> dict:
         """For check.json."""
@@ -77,10 +116,10 @@ class Judged:
 
 def judge(at: Glance) -> Judged:
     """Everything that can be said of one video before it is fitted."""
-    problems: list[Problem] = []
+    problems: list[Finding] = []
 
     def add(fatal: bool, what: str, advice: str) -> None:
-        problems.append(Problem(at.part, fatal, what, advice))
+        problems.append(Finding(at.part, fatal, what, advice))
 
     part, found = at.part, at.found
     empty = empty_frames(at)

@@ -9,10 +9,9 @@ the three colors (Smith and Blinn, Blue Screen Matting, 1996):
 """
 
 import warnings
-from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 from scipy import ndimage
 from skimage.segmentation import random_walker
@@ -21,7 +20,7 @@ from capture.keypoints.record import SIDES, Keypoints
 from capture.raw.glance import SURE
 from capture.raw.limbs import hull, lines
 from capture.raw.plate import Plate, smoothed
-from geometry.cells import distance_to, nearest_marked
+from geometry.cells import distance_to, nearest_marked, pieces
 
 # pixels: height of the pictures that the walk goes through
 WALKED = 300
@@ -186,20 +185,20 @@ def _walked(
 
 def _whole(inside: Bool[Array, "height width"], keypoints: Keypoints, frame: int) -> Bool[Array, "height width"]:
     """Without specks in the room and pinholes in the person; pieces with sure points stay."""
-    labels, count = _pieces(inside)
-    if not count:
+    labels = pieces(inside)
+    if not inside.any():
         return inside
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    sizes = np.bincount(labels.ravel())
     sizes[0] = 0
     keep = sizes >= PIECE * sizes.max()
     x, y = keypoints.pixels[frame][keypoints.confidence[frame] > 0.5].T
     ok = (x >= 0) & (y >= 0) & (x < inside.shape[1]) & (y < inside.shape[0])
     points = labels[y[ok].astype(int), x[ok].astype(int)]
-    keep |= (np.bincount(points, minlength=count + 1) >= 2) & (sizes > 0)
+    keep |= (np.bincount(points, minlength=len(sizes)) >= 2) & (sizes > 0)
     keep[0] = False
     inside = keep[labels]
-    holes, count = _pieces(~inside)
-    sizes = np.bincount(holes.ravel(), minlength=count + 1)
+    holes = pieces(~inside)
+    sizes = np.bincount(holes.ravel())
     sizes[0] = inside.size
     return inside | (sizes < HOLE * inside.sum())[holes]
 
@@ -251,16 +250,7 @@ def _rim(
     return np.round(255 * mixed).astype(np.uint8)
 
 
-def _pieces(pixels: Bool[Array, "height width"]) -> tuple[Int[Array, "height width"], int]:
-    """Connected pieces, numbered from 1, and how many there are."""
-    found: Any = ndimage.label(pixels)
-    return found[0], found[1]
-
-
 def _joined(pixels: Bool[Array, "height width"], seeds: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
     """Those of the pixels that are connected with one of the seeds."""
-    labels, count = _pieces(pixels)
-    keep = np.zeros(count + 1, bool)
-    keep[np.unique(labels[seeds & pixels])] = True
-    keep[0] = False
-    return keep[labels]
+    labels = pieces(pixels)
+    return pixels & np.isin(labels, labels[seeds & pixels])

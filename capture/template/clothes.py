@@ -32,7 +32,7 @@ from capture.folder import CaptureSubject, PartVideo
 from capture.template.grid import DistanceGrid, distance_grid
 from capture.template.hull import SEEN_BY, MaskView, background_share, sure_background
 from capture.template.surface import SurfaceCloud, surface_cloud, visible_faces
-from geometry.cells import distance_to
+from geometry.cells import distance_to, pieces
 from geometry.isosurface import zero_set_mesh
 from geometry.mesh import TriangleMesh, neighbour_matrix
 
@@ -96,7 +96,7 @@ def with_clothes(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
     cloth = carve(views, template, coarse, loose)
     vertices, faces = cloth_mesh(cloth)
     # what of the cloth lies under the skin is no surface, and what of the skin lies in the cloth neither
-    under = _distance_at(template, vertices[faces].mean(1))
+    under = template.at(vertices[faces].mean(1)).astype(np.float64)
     faces = faces[under > -0.003]
     used, faces = np.unique(faces, return_inverse=True)
     mesh = TriangleMesh(vertices[used], faces.reshape(-1, 3))
@@ -132,8 +132,7 @@ def standing_off(views: Sequence[MaskView], template: DistanceGrid, cloud: Surfa
     held = np.zeros(distance.shape, bool)
     held[tuple(asked[cloud.part[row] == PARTS.index("body")].T)] = True
     held = np.asarray(ndimage.binary_opening(held, ndimage.generate_binary_structure(3, 1)), bool)
-    label = np.empty(held.shape, np.int32)
-    ndimage.label(held, output=label)
+    label = pieces(held)
     loose = np.zeros_like(held)
     for piece in range(1, int(label.max()) + 1):
         own = label == piece
@@ -151,7 +150,7 @@ def carve(
     low = coarse.low + coarse.cell * (index.min(0) - 1.0)
     shape = tuple(np.ceil(coarse.cell * (np.ptp(index, axis=0) + 2) / FINE).astype(int) + 1)
     cells = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), -1).reshape(-1, 3)
-    distance = _distance_at(template, low + FINE * cells).reshape(shape)
+    distance = template.at(low + FINE * cells).astype(np.float64).reshape(shape)
     hem = coarse.low[1] + coarse.cell * (hem_level(loose) - 0.5)
     above = low[1] + FINE * np.arange(shape[1]) > hem
     asked = np.argwhere((distance > 0) & (distance < FARTHEST) & above[:, None])
@@ -161,10 +160,6 @@ def carve(
     cloth = np.zeros(shape, bool)
     cloth[tuple(asked[chosen].T)] = _held(places[chosen], views)
     return shell(cloth, distance, low.astype(np.float64))
-
-
-def _distance_at(template: DistanceGrid, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    return template.at(points).astype(np.float64)
 
 
 def hem_level(loose: Bool[Array, "x y z"]) -> int:
@@ -206,8 +201,7 @@ def shell(cloth: Bool[Array, "x y z"], distance: Float[Array, "x y z"], low: Flo
     wall = np.minimum(depth - THICK, depth + distance - THICK - GAP)
     beside = (distance_to(cloth & (depth <= THICK)) - 2) * FINE
     out = np.maximum.reduce([-depth, wall, -distance - UNDER, beside])
-    label = np.empty(out.shape, np.int32)
-    ndimage.label(out < 0, output=label)
+    label = pieces(out < 0)
     large = np.bincount(label.ravel()) * FINE**3 > LEAST_SHELL
     large[0] = False
     keep = np.asarray(ndimage.binary_dilation(large[label], ndimage.generate_binary_structure(3, 3)), bool)
@@ -226,7 +220,7 @@ def cloth_weights(mesh: TriangleMesh, cloud: SurfaceCloud) -> SkinWeights:
     """Those of the nearest place of the body, smoothed over the cloth; where cloth meets body they are the body's."""
     away, row = cloud.tree.query(mesh.vertices, workers=-1)
     row = np.asarray(row)
-    nearest = dense_weights(SkinWeights(cloud.skin.joints[row], cloud.skin.weights[row]))
+    nearest = dense_weights(cloud.skin.of(row))
     bones = np.flatnonzero(nearest.max(0) > 0.01)
     weights = nearest[:, bones]
     count = len(mesh.vertices)

@@ -8,10 +8,11 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from avatar.body import builtin_body
+from avatar.rotation import fibonacci_sphere
 from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from avatar.skinning import dense_weights
 from capture.folder import CaptureSubject
@@ -123,7 +124,7 @@ class EyeCover(NamedTuple):
 def eye_covers(subject: CaptureSubject, spheres: EyeSpheres) -> list[EyeCover]:
     """Lids and sockets seen from the middle of each ball; what is open to the front meets no lid."""
     middles = subject.vertices[subject.faces].mean(1)
-    directions = sphere_directions(DIRECTIONS)
+    directions = fibonacci_sphere(DIRECTIONS)[:, [0, 2, 1]]
     covers = []
     for centre, radius in zip(spheres.centres, spheres.radii):
         near = np.linalg.norm(middles - centre, axis=1) < radius + LID_REACH + 0.01
@@ -150,7 +151,7 @@ def hidden_lengths(subject: CaptureSubject, spheres: EyeSpheres) -> list[HiddenL
     """
     forward = face_forward(subject)
     middles = subject.vertices[subject.faces].mean(1)
-    around = sphere_directions(BEHIND_DIRECTIONS)
+    around = fibonacci_sphere(BEHIND_DIRECTIONS)[:, [0, 2, 1]]
     found = []
     for centre, radius in zip(spheres.centres, spheres.radii):
         origin, reach = centre - BEHIND * radius * forward, radius + LID_REACH
@@ -181,32 +182,10 @@ def eye_openings(subject: CaptureSubject) -> Float[Array, "n 3"]:
     return np.concatenate(found)
 
 
-def near_eyes(subject: CaptureSubject, points: Float[Array, "n 3"], grown: float = GROWN) -> Bool[Array, "n"]:
-    """Canonical points in the eye region: the opening between the lids, grown by `grown` metres."""
-    opening = eye_openings(subject)
-    if not len(opening):
-        return np.zeros(len(points), bool)
-    near = np.zeros(len(points), bool)
-    low, high = opening.min(0) - grown, opening.max(0) + grown
-    rows = np.flatnonzero(((points > low) & (points < high)).all(1))
-    for begin in range(0, len(rows), 4096):
-        some = rows[begin : begin + 4096]
-        near[some] = (np.linalg.norm(points[some, None] - opening, axis=2) < grown).any(1)
-    return near
-
-
 def face_forward(subject: CaptureSubject) -> Float[Array, "3"]:
     """The way the face looks in the canonical frame, unit."""
     B = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))[HEAD]
     return B[:3, 2] / np.linalg.norm(B[:3, 2])
-
-
-def sphere_directions(count: int) -> Float[Array, "count 3"]:
-    """Unit vectors spread evenly over the sphere (spherical Fibonacci lattice, Swinbank and Purser 2006)."""
-    k = np.arange(count) + 0.5
-    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
-    across = np.sqrt(1 - z**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], 1)
 
 
 def first_hits(

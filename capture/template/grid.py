@@ -77,8 +77,8 @@ def close_cavities(
     """
     subject, neck = closed
     faces = subject.faces[(subject.vertices[subject.faces, 1] > neck - 0.05).any(1)]
-    face, barycentric = lattice_samples(subject.vertices, faces, np.full(len(faces), 0.5 * cell))
-    points = np.einsum("sk,skc->sc", barycentric, subject.vertices[faces[face]])
+    samples = lattice_samples(subject.vertices, faces, np.full(len(faces), 0.5 * cell))
+    points = samples.on(subject.vertices, faces)
     low = np.array([axis[0] for axis in axes])
     index = np.round((points - low) / cell).astype(int)
     index = index[((index >= 0) & (index < distance.shape)).all(1)]

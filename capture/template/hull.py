@@ -23,7 +23,7 @@ from capture.folder import Capture, CaptureSubject, PartVideo
 from capture.template.grid import DistanceGrid, distance_grid
 from capture.template.hollows import ColorView, carve_hollows, color_views
 from capture.template.surface import surface_cloud, visible_faces
-from geometry.cells import distance_to
+from geometry.cells import distance_to, pieces
 from geometry.isosurface import zero_set_mesh
 from geometry.mesh import TriangleMesh
 
@@ -126,7 +126,7 @@ class Scalp(NamedTuple):
 
     neck: float  # height of the head's lowest skin
     brow: float  # height
-    middle: tuple[float, float]  # of the skull, x and z
+    middle: tuple[float, float]  # the skull's, x and z
 
 
 def scalp_of(head: Float[Array, "n 3"]) -> Scalp:
@@ -181,8 +181,7 @@ def carve(
     standing = hull & (distance > least[:, None])
     standing = np.asarray(ndimage.binary_opening(standing, ndimage.generate_binary_structure(3, 1)), bool)
     standing &= hanging(hull & (distance > -2 * cell), axes, scalp)
-    label = np.empty(standing.shape, np.int32)
-    ndimage.label(standing, output=label)
+    label = pieces(standing)
     for piece in range(1, int(label.max()) + 1):
         own = label == piece
         if own.sum() * cell**3 < LEAST or not own[:, axes[1] > scalp.neck].any():

@@ -30,8 +30,8 @@ from avatar.skinning import SkinWeights, dense_weights
 from capture.folder import CaptureSubject
 from capture.template.grid import DistanceGrid, distance_grid
 from capture.template.surface import sample_grid, surface_cloud
-from geometry.cells import distance_to
-from geometry.harmonic import anchored, fill_harmonic
+from geometry.cells import distance_to, pieces
+from geometry.harmonic import fill_reached
 from geometry.mesh import vertex_normals
 
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
@@ -141,8 +141,7 @@ def hair_cells(
     carved = np.asarray(ndimage.binary_opening(off & (drawn.values < 0.5 * CELL)), bool)
     # a cell thick, it is opened by nothing; nor does it hang together but at corners
     standing = off & (learned < 0.5 * CELL) & above[:, None]
-    label = np.empty(off.shape, np.int32)
-    ndimage.label(carved | standing, ndimage.generate_binary_structure(3, 3), output=label)
+    label = pieces(carved | standing, 3)
     joined = np.setdiff1d(np.unique(label[carved]), [0])
     return np.isin(label, joined)
 
@@ -159,8 +158,7 @@ def outer_depth(learned: Float[Array, "x y z"], bare: DistanceGrid, zone: Distan
     values, air = bare.values, learned > 0
     # a pinhole leads nowhere
     wide = np.asarray(ndimage.binary_erosion(air, border_value=1), bool)
-    label = np.empty(air.shape, np.int32)
-    ndimage.label(wide, output=label)
+    label = pieces(wide)
     reached = np.unique(label[wide & (values > 0.01) & (zone.values > 0.5 * CELL)])
     outside = air & np.asarray(ndimage.binary_dilation(wide & np.isin(label, reached), iterations=2), bool)
     depth = distance_to(outside) * bare.cell
@@ -170,7 +168,7 @@ def outer_depth(learned: Float[Array, "x y z"], bare: DistanceGrid, zone: Distan
 def rigid_height(subject: CaptureSubject, skin_faces: Int[Array, "k 3"]) -> float:
     """The height above which all skin follows the head alone (capture/register/rigid.py)."""
     used = np.unique(skin_faces)
-    follows = dense_weights(SkinWeights(subject.skin.joints[used], subject.skin.weights[used]))[:, HEAD]
+    follows = dense_weights(subject.skin.of(used))[:, HEAD]
     near = np.abs(subject.vertices[used, 0] - subject.joints[HEAD, 0]) < 0.25
     loose = subject.vertices[used][near & (follows < 0.99)]
     return float(loose[:, 1].max()) + 0.005
@@ -226,9 +224,7 @@ def skin_moved(
     known[index[open_[found]]] = True
     values_all[index[open_[found]], 0] = offset[found]
     known[~used] = True  # farther away nothing is asked
-    free = ~known & anchored(known, skin.faces)
-    known |= ~free
-    values_all = fill_harmonic(values_all, known, skin.faces)
+    values_all = fill_reached(values_all, known, skin.faces)
     out = skin.vertices.copy()
     out[index] += values_all[index] * normals
     return out

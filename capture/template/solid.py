@@ -11,10 +11,9 @@ from scipy.spatial import KDTree
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
 from capture.template.grid import DistanceGrid, distance_grid
-from capture.template.surface import air_beyond, surface_cloud, visible_faces
+from capture.template.surface import air_beyond, occupied_cells, surface_cloud, visible_faces
 from geometry.cells import nearest_marked
 from geometry.mesh import vertex_normals
-from geometry.sample import lattice_samples
 
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
@@ -81,13 +80,7 @@ def outer_air(
     A flood fill from outside round walls two cells thicker, which no hole under four cells lets in; what is nearer
     to the surface, and so between fingers, is never said to be air.
     """
-    corners = vertices[faces]
-    face, barycentric = lattice_samples(vertices, faces, np.full(len(faces), 0.5 * cell))
-    samples = np.einsum("sk,skc->sc", barycentric, corners[face])
-    low = samples.min(0) - 6 * cell
-    index = ((samples - low) / cell).astype(int)
-    occupied = np.zeros(tuple(index.max(0) + 7), bool)
-    occupied[tuple(index.T)] = True
+    occupied, low = occupied_cells(vertices, faces, cell)
     air = air_beyond(occupied, (0, 0, 0))
 
     def inside(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:

@@ -80,13 +80,8 @@ def air_reaches(
     eyelids; it then creeps back three cells through free cells, never through a wall.
     """
     normals = face_normals(vertices, faces)
-    face, barycentric = lattice_samples(vertices, faces, np.full(len(faces), 0.5 * cell))
-    points = np.einsum("sk,skc->sc", barycentric, vertices[faces[face]])
-    low = points.min(0) - 6 * cell
-    index = ((points - low) / cell).astype(int)
-    shape = tuple(index.max(0) + 7)
-    occupied = np.zeros(shape, bool)
-    occupied[tuple(index.T)] = True
+    occupied, low = occupied_cells(vertices, faces, cell)
+    shape = occupied.shape
     height = low[1] + (np.arange(shape[1]) + 0.5) * cell
     closed = height < cut if above else height > cut
     occupied[:, closed] = True
@@ -99,6 +94,18 @@ def air_reaches(
         reached |= air[tuple(np.clip(at, 0, np.array(shape) - 1).T)]
     beyond = middle[:, 1] < cut + 4 * cell if above else middle[:, 1] > cut - 4 * cell
     return reached | beyond
+
+
+def occupied_cells(
+    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], cell: float
+) -> tuple[Bool[Array, "x y z"], Float[Array, "3"]]:
+    """Cells that a surface lies in, with six free ones round it, and the corner of the first, metres."""
+    points = lattice_samples(vertices, faces, np.full(len(faces), 0.5 * cell)).on(vertices, faces)
+    low = points.min(0) - 6 * cell
+    index = ((points - low) / cell).astype(int)
+    occupied = np.zeros(tuple(index.max(0) + 7), bool)
+    occupied[tuple(index.T)] = True
+    return occupied, low
 
 
 def air_beyond(occupied: Bool[Array, "x y z"], start: tuple[int, int, int]) -> Bool[Array, "x y z"]:
@@ -114,13 +121,12 @@ def surface_cloud(
     # the majority of the three
     part = np.sort(subject.part[faces], 1)[:, 1]
     gap = np.where(part == fine_part, fine, max(fine, coarse))
-    face, barycentric = lattice_samples(subject.vertices, faces, gap)
-    corners = faces[face]
-    blend = lambda values: np.einsum("sk,skc->sc", barycentric, values[corners])
-    normals = blend(vertex_normals(subject.vertices, subject.faces))
+    samples = lattice_samples(subject.vertices, faces, gap)
+    face = samples.face
+    normals = samples.on(vertex_normals(subject.vertices, subject.faces), faces)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    points = blend(subject.vertices)
-    skin = blend_skin(subject.skin, corners, barycentric)
+    points = samples.on(subject.vertices, faces)
+    skin = blend_skin(subject.skin, faces[face], samples.barycentric)
     area = (face_areas(subject.vertices, faces) / np.maximum(np.bincount(face, minlength=len(faces)), 1))[face]
     return SurfaceCloud(points, normals, skin, part[face], KDTree(points), fine, gap[face], area)
 

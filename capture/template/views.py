@@ -88,7 +88,7 @@ def part_views(
     # vertices of other parts only hide: a sixth of them is dense enough for that
     index = np.flatnonzero(inside | (np.arange(len(vertices)) % 6 == 0))
     points, n, own = vertices[index], normals[index], inside[index]
-    local = SkinWeights(skin.joints[index], skin.weights[index])
+    local = skin.of(index)
     sums = no_views(len(vertices))
     for frame, camera in enumerate(video.cameras):
         if canonical_from_head is not None:
@@ -109,7 +109,7 @@ def part_views(
         if canonical_from_head is not None:
             d = d @ turn.T
         else:
-            R = blended_rotations(SkinWeights(local.joints[seen], local.weights[seen]), B)
+            R = blended_rotations(local.of(seen), B)
             d = np.einsum("vij,vi->vj", R, d)
         add_views(sums, index[seen], d)
     return sums

@@ -15,7 +15,8 @@ from avatar.similarity import similarity_from_landmarks
 from capture.check.coverage import largest_gap, turn_angles
 from capture.check.pictures import blurred, exposure, missing, repeated, sharpness
 from capture.check.report import examine, examine_part, report_facts
-from capture.check.verdict import Verdict, verdict
+from capture.check.verdict import verdict
+from capture.raw.judge import Verdict
 from selfscan.__main__ import main
 
 

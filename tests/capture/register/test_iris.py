@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 from painted_eyes import FORWARD, filmed
 
+from avatar.rotation import fibonacci_sphere
 from capture.register.iris import ANGLES, FlatIris, disagreement, eye_front
-from capture.template.eyes import EyeSpheres, sphere_directions
+from capture.template.eyes import EyeSpheres
 
 CENTRE, RADIUS = np.array([0.03, 0.01, 0.02]), 0.012
 
 
 def best_angle(views: list) -> float:
-    directions = sphere_directions(3000)
+    directions = fibonacci_sphere(3000)
     directions = directions[directions @ FORWARD > np.cos(np.radians(40))]
     nothing = np.zeros((0, 3, 3))
     sums = [disagreement(CENTRE, RADIUS, eye_front(directions, FORWARD, a), nothing, views) for a in ANGLES]
@@ -38,7 +39,7 @@ def test_a_cut_ball_is_a_ball_with_a_flat_front():
     spheres = EyeSpheres(np.array([CENTRE, -CENTRE]), np.array([RADIUS, RADIUS]))
     angle = np.radians(25)
     cut = FlatIris(FORWARD, float(angle))
-    directions = sphere_directions(500)
+    directions = fibonacci_sphere(500)
     for middle in spheres.centres:
         surface = eye_front(directions, FORWARD, float(angle))
         np.testing.assert_allclose(cut.distance(spheres, middle + RADIUS * surface.points), 0, atol=1e-12)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from painted_capture import free_subject
 
+from avatar.rotation import fibonacci_sphere
 from capture.folder import read_subject, write_subject
-from capture.template.eyes import body_sockets, eye_openings, eye_spheres, fit_sphere, near_eyes, sphere_directions
+from capture.template.eyes import body_sockets, eye_openings, eye_spheres, fit_sphere
 from command.errors import AssetError
 
 
@@ -23,7 +24,7 @@ def spheres_of(subject):
 
 
 def test_a_sphere_is_found_from_a_cap_of_it():
-    cap = sphere_directions(2000)
+    cap = fibonacci_sphere(2000)
     cap = cap[cap[:, 2] > 0.7]
     centre, radius = fit_sphere([1.0, 2.0, 3.0] + 0.012 * cap)
     assert np.abs(centre - [1, 2, 3]).max() < 1e-9 and abs(radius - 0.012) < 1e-9  # 64-bit least squares
@@ -56,7 +57,6 @@ def test_another_body_without_stated_eyeballs_has_none(subject):
     other = replace(subject, faces=subject.faces[:, [1, 2, 0]])
     assert eye_spheres(other) is None
     assert len(eye_openings(other)) == 0
-    assert not near_eyes(other, other.vertices).any()
 
 
 def test_the_opening_is_what_the_lids_leave_free(subject):
@@ -69,18 +69,6 @@ def test_the_opening_is_what_the_lids_leave_free(subject):
         # within the rim, and most of the way across it
         assert (points[:, :2] > low[:2] - 1e-3).all() and (points[:, :2] < high[:2] + 1e-3).all()
         assert (np.ptp(points[:, :2], axis=0) > 0.7 * (high - low)[:2]).all()
-
-
-def test_the_eye_region_is_the_opening_grown(subject):
-    opening = eye_openings(subject)
-    middle = opening[opening[:, 0] > 0].mean(0)
-    steps = np.linspace(0, 0.03, 31)
-    inside = near_eyes(subject, middle + steps[:, None] * [0, 1, 0])
-    top = opening[opening[:, 0] > 0][:, 1].max() - middle[1]
-    reach = steps[inside].max()
-    # 3 mm over the opening's edge, less what the ball curves back
-    assert top < reach < top + 0.0035
-    assert (np.diff(inside.astype(int)) <= 0).all()
 
 
 def test_stated_eyeballs_survive_the_file_and_files_without_them_are_read(tmp_path, subject):
