@@ -139,19 +139,14 @@ class Match(NamedTuple):
 
 
 def match_surface(
-    points: Float[Array, "n 3"],
-    normals: Float[Array, "n 3"],
-    vertices: Float[Array, "vertices 3"],
+    points: Float[Array, "n 3"], normals: Float[Array, "n 3"], vertices: Float[Array, "vertices 3"],
     faces: Integer[Array, "faces 3"],
-    *,
-    candidates: int = 24,
-    cosine: float = 0.0,
-) -> Match:
+) -> Match:  # fmt: skip
     """Closest point of a mesh that faces the same way as the query.
 
-    Among the triangles with the nearest centroids, those whose normal has a cosine above `cosine` with the
-    query's compete; a finger's back never takes the neighbouring finger's side, an ear's front not its back.
-    Where none agrees the closest of all is returned and `agrees` is False.
+    Among the triangles with the nearest centroids, those compete whose normal is less than a right angle from the
+    query's; a finger's back never takes the neighbouring finger's side, an ear's front not its back. Where none agrees
+    the closest of all is returned and `agrees` is False.
     """
     corners = vertices[faces]
     facing = face_normals(vertices, faces)
@@ -159,19 +154,19 @@ def match_surface(
 
     def found_among(rows: Integer[Array, "rows"], count: int) -> Match:
         _, near = tree.query(points[rows], k=count, workers=-1)
-        agrees = lambda face, _: (facing[face] * normals[rows]).sum(1) > cosine
+        agrees = lambda face, _: (facing[face] * normals[rows]).sum(1) > 0
         return best_candidate(points[rows], near.reshape(len(rows), count), corners, agrees)
 
-    found = found_among(np.arange(len(points)), min(FEW, candidates, len(faces)))
+    found = found_among(np.arange(len(points)), min(FEW, len(faces)))
     doubtful = np.flatnonzero(~found.agrees)
-    if len(doubtful) and min(candidates, len(faces)) > FEW:
-        for kept, better in zip(found, found_among(doubtful, min(candidates, len(faces))), strict=True):
+    if len(doubtful) and len(faces) > FEW:
+        for kept, better in zip(found, found_among(doubtful, min(MOST, len(faces))), strict=True):
             kept[doubtful] = better
     return found
 
 
-# candidates that settle nearly every query
-FEW = 6
+# candidates that settle nearly every query, and those that the others are asked for
+FEW, MOST = 6, 24
 
 
 def best_candidate(
