@@ -16,20 +16,16 @@ class BenchCommand:
     """`selfscan bench`."""
 
     out: Annotated[Path, Option(("-o",), "DIR"), "folder to write"]
-    avatar: Annotated[
-        Path | None, Option(positional=True, metavar="AVATAR"),
-        "avatar file (.glb); of --effects none: the built-in body"
-    ] = None
+    avatar: Annotated[Path | None, Option(positional=True, metavar="AVATAR"),
+        "avatar file (.glb); of --effects none: the built-in body"] = None
     effects: Annotated[bool, "instead: what each effect of a scene costs, alone and all together"] = False
     run: Annotated[Path | None, Option(metavar="RUN"), "run folder it was baked from: adds the field as a rung"] = None
-    capture: Annotated[
-        Path | None, Option(metavar="CAPTURE"), "capture folder with truth/: held-out poses and true pictures"
-    ] = None
+    capture: Annotated[Path | None, Option(metavar="CAPTURE"),
+        "capture folder with truth/: held-out poses and true pictures"] = None
     rounds: Annotated[int, AtLeast(1), AtMost(100_000), "timed frames for each rung"] = 20
     frames: Annotated[int, AtLeast(1), AtMost(10_000), "pictures compared"] = 4
-    size: Annotated[
-        tuple[int, int] | None, AtLeast(1), Option(metavar="WxH", parse=parse_size), "pixels (default: 640x640)"
-    ] = None
+    size: Annotated[tuple[int, int] | None, AtLeast(1), Option(metavar="WxH", parse=parse_size),
+        "pixels (default: 640x640)"] = None
 
     def __post_init__(self):
         if self.avatar is None and not self.effects:
@@ -58,16 +54,7 @@ def bench_main(argv: list[str]) -> int:
         return _effects(command)
     from bench.report.report import bench
 
-    assert command.avatar is not None
-    result = bench(
-        command.avatar,
-        command.out,
-        run=command.run,
-        capture=command.capture,
-        rounds=command.rounds,
-        count=command.frames,
-        size=command.size,
-    )
+    result = bench(command)
     for row in result["rungs"]:
         flip = "the best" if row["name"] == result["best_rung"] else f"FLIP {row['flip']:.4f}"
         print(f"{row['name']:36}{row['ms_median']:10.2f} ms{flip:>14}" + ("  dominated" if row["dominated"] else ""))

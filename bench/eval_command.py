@@ -15,27 +15,18 @@ class EvalCommand:
     """`selfscan eval`."""
 
     subject: Annotated[Path, Option(positional=True, metavar="RUN_OR_AVATAR"), "run folder, or avatar file (.glb)"]
-    capture: Annotated[
-        Path,
-        Option(positional=True, metavar="CAPTURE"),
-        "capture folder with truth/ (selfscan synth), or of a raw scan (synth --raw --keypoints --held-out)",
-    ]
+    capture: Annotated[Path, Option(positional=True, metavar="CAPTURE"),
+        "capture folder with truth/ (selfscan synth), or of a raw scan (synth --raw --keypoints --held-out)"]
     json: Annotated[Path | None, Option(metavar="FILE"), "write every number here as well"] = None
     markdown: Annotated[Path | None, Option(metavar="FILE"), "write the table here as Markdown"] = None
     ceiling: Annotated[bool, "also score the true mesh under our skin weights: the best to be had"] = False
     poses: Annotated[int | None, AtLeast(1), "a quick look: only N poses of each set"] = None
-    lpips: Annotated[
-        tuple[Path, ...],
-        Option(metavar="FILE", several=True),
+    lpips: Annotated[tuple[Path, ...], Option(metavar="FILE", several=True),
         "LPIPS's weights, which are not shipped: one file of the whole network's state dictionary, or torchvision's "
-        "AlexNet and the lpips package's linear layers (bench/score/lpips.py says how)",
-    ] = ()
-    run: Annotated[
-        Path | None,
-        Option(metavar="RUN"),
+        "AlexNet and the lpips package's linear layers (bench/score/lpips.py says how)"] = ()
+    run: Annotated[Path | None, Option(metavar="RUN"),
         "run the avatar was baked from: measures again what the file says was lost, and on held-out pictures; avatars "
-        "from pixels need it, since their poses are fitted to those pictures with its template",
-    ] = None
+        "from pixels need it, since their poses are fitted to those pictures with its template"] = None
 
 
 EVAL = Help(
@@ -59,13 +50,9 @@ def eval_main(argv: list[str]) -> int:
     from bench.score.quality_table import markdown, print_table
 
     result = evaluate(
-        command.subject,
-        command.capture,
-        ceiling=command.ceiling,
-        poses=command.poses,
-        run=command.run,
-        lpips=list(command.lpips),
-    )
+        command.subject, command.capture, ceiling=command.ceiling, poses=command.poses, run=command.run,
+        lpips=command.lpips,
+    )  # fmt: skip
     print_table(result)
     if command.json:
         write_json(command.json, result)

@@ -7,21 +7,32 @@ On a machine that others use, neither means much: the share they used is told.
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from avatar.gltf.avatar_file import read_avatar
 from bench.ladder.machine import Quiet
 from bench.ladder.rung_pictures import motion_frames
 from files.whole import write_json
-from player.budget.ladder import PricedRung, best_within, frontier, scene_rungs
-from player.budget.measure import BudgetScene, price, rung_times
+from player.budget.ladder import PricedRung, best_within, frame_times, frontier, released, scene_rungs
+from player.budget.measure import BudgetScene, price
+from player.budget.rung import Rung
 from player.effects.background import Background
 from player.gl.context import Context, opened
 from player.scene.arguments import parse_size
 from player.scene.effects import PLAIN
+
+
+def rung_times(
+    context: Context, scene: BudgetScene, rungs: Sequence[Rung], rounds: int
+) -> Float[np.ndarray, "rounds rungs"]:
+    """Milliseconds of every one of the rungs in alternating rounds."""
+    with released(scene.renderer(context, rung) for rung in rungs) as renderers:
+        return frame_times(context, renderers, scene.frames, range(rounds), reads_back=scene.reads_back)
 
 
 def tried_budgets(

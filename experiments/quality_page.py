@@ -9,11 +9,12 @@ from typing import Any
 
 from bench.report.writer import markdown_table, number
 from bench.score.metrics import METRICS
-from bench.score.quality_table import MODES, PAPER, cells
+from bench.score.quality_table import PAPER, cells
 from command.errors import AssetError
 from experiments.claim_page import FORMAT, page
 from files.input_file import read_json_object
 from files.whole import write_text
+from player.effects.avatar import VIEWS
 
 
 def light_of_facts(facts: dict[str, Any]) -> str:
@@ -92,12 +93,12 @@ def view_table(results: list[dict[str, Any]]) -> list[str]:
         if modes is None:
             continue
         true, cone = modes["psnr_db"]["all"], file.get("cone_db") or {}
-        cells = [number(true.get(mode)) for mode in MODES] + [str(modes["default"])]
-        cells += [number(file.get("paper_db"), 1), *(number(cone.get(mode), 1) for mode in MODES)]
+        cells = [number(true.get(mode)) for mode in VIEWS] + [str(modes["default"])]
+        cells += [number(file.get("paper_db"), 1), *(number(cone.get(mode), 1) for mode in VIEWS)]
         rows.append([f"{result['capture']['subject']}, {light_of_facts(result['capture'])}", *cells])
     if not rows:
         return []
-    heads = ["", *(f"true: {mode}" for mode in MODES), "default", "field: off", *(f"cone: {mode}" for mode in MODES)]
+    heads = ["", *(f"true: {mode}" for mode in VIEWS), "default", "field: off", *(f"cone: {mode}" for mode in VIEWS)]
     return [
         "## View modes",
         "",

@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.report.writer import markdown_table
 from bench.report.writer import number as rounded
-from bench.score.quality_table import (
+from experiments.paper_numbers import (
     GEOMETRY,
     PAPER_GEOMETRY,
     PAPER_IMAGE,

@@ -2,12 +2,11 @@
 every way to OpenGL shows the same frame."""
 
 import importlib.metadata
-import importlib.util
 import json
 import os
 import platform
-from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,9 +30,9 @@ INSTALL = ("sudo apt-get install", "sudo dnf install", "sudo pacman -S")
 VENDORS = ("/usr/share/glvnd/egl_vendor.d", "/etc/glvnd/egl_vendor.d")
 VENDOR_VARIABLES = ("__EGL_VENDOR_LIBRARY_FILENAMES", "__EGL_VENDOR_LIBRARY_DIRS")
 EXTRAS = {
-    "films": ("av",), "window": ("glfw",), "gui": ("imgui_bundle",), "live": ("websockets",),
-    "cluster": ("distributed",), "train": ("torch", "scipy", "skimage", "trimesh", "rtree"),
-    "bake": ("xatlas", "fast_simplification", "onnx"), "bench": ("matplotlib", "flip_evaluator"),
+    "films": ("av",), "window": ("glfw",), "gui": ("imgui-bundle",), "live": ("websockets",),
+    "cluster": ("distributed",), "train": ("torch", "scipy", "scikit-image", "trimesh", "rtree"),
+    "bake": ("xatlas", "fast-simplification", "onnx"), "bench": ("matplotlib", "flip-evaluator"),
     "inspect": ("pyvista",),
 }  # fmt: skip
 
@@ -314,16 +313,8 @@ def difference(a: np.ndarray, b: np.ndarray) -> tuple[int, float]:
     return int(gap[~band].max(initial=0)), float(band.mean())
 
 
-@cache
-def _distributions() -> Mapping[str, list[str]]:
-    return importlib.metadata.packages_distributions()
-
-
-def _version(module: str) -> str | None:
-    if importlib.util.find_spec(module) is None:
-        return None
-    names = _distributions().get(module, [module])
+def _version(package: str) -> str | None:
     try:
-        return importlib.metadata.version(names[0])
+        return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        return "present"
+        return None

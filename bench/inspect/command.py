@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
 
 from avatar.gltf.avatar_file import read_avatar
 from bench.inspect import accuracy_sections as accuracy
@@ -12,6 +11,7 @@ from bench.inspect import drawn_sections as drawn
 from bench.inspect import surface_sections as surface
 from bench.inspect.face_section import face
 from bench.inspect.inspection import Inspector, KnownDistances
+from bench.inspect.options import InspectCommand
 from bench.inspect.page import PageSection, page
 from command.errors import missing_package
 from command.progress import plural, progress
@@ -22,44 +22,31 @@ ORDER = ("look", "face", "poses", "turntable", "parts", "weights", "texels", "se
          "truth", "levels", "accuracy", "provenance")  # fmt: skip
 
 
-def inspect(
-    path: Path,
-    out: Path,
-    *,
-    run: Path | None = None,
-    capture: Path | None = None,
-    joints: list[str] | None = None,
-    size: int = 520,
-    turns: int = 36,
-    context_kind: str = "auto",
-) -> Inspector:
+def inspect(options: InspectCommand) -> Inspector:
     """Write the folder; whole or not at all.
 
     Raises:
-        AssetError: avatar, run or capture cannot be read, or `out` holds other files.
+        AssetError: avatar, run or capture cannot be read, or the folder holds other files.
     """
-    avatar = read_avatar(path)
+    path, run, capture, avatar = options.avatar, options.run, options.capture, read_avatar(options.avatar)
     try:
         field = None if run is None else accuracy.from_run(avatar.levels[0], run)
     except ModuleNotFoundError as error:
         raise missing_package(error.name, "inspect,train", "--run") from None
-    measured = KnownDistances(
-        field=field,
-        truth=None if capture is None else accuracy.from_truth(avatar, avatar.levels[0], capture),
-    )
+    truth = None if capture is None else accuracy.from_truth(avatar, avatar.levels[0], capture)
     with ExitStack() as stack:
-        folder = stack.enter_context(whole_folder(out))
-        context = opened(context_kind, None)
+        folder = stack.enter_context(whole_folder(options.output))
+        context = opened(options.context, None)
         stack.callback(context.release)  # again does nothing
-        inspector = Inspector(avatar, path, context, measured, size)
+        inspector = Inspector(avatar, path, context, KnownDistances(field, truth), options.size // 2 * 2)
         stack.callback(inspector.release)
         topics: list[Callable[[], list[PageSection] | PageSection | None]] = [
             *(partial(topic, inspector) for topic in (drawn.looks, drawn.posed, drawn.levels)),
-            lambda: drawn.turntable(inspector, turns),
+            lambda: drawn.turntable(inspector, options.turns),
             lambda: face(inspector, capture),
             # VTK makes contexts of its own: ours draws before, and is gone then
             context.release,
-            lambda: surface.weights(inspector, joints or []),
+            lambda: surface.weights(inspector, options.joint),
             *(partial(topic, inspector) for topic in (
                 surface.parts, surface.texels, surface.seams, surface.cones, surface.triangles,
                 accuracy.field_distance, accuracy.truth_distance, accuracy.provenance,

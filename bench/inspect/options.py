@@ -49,16 +49,12 @@ class InspectCommand:
 
     avatar: Annotated[Path, Option(positional=True, metavar="NAME.glb"), "avatar file from `selfscan bake`"]
     output: Annotated[Path, Option(("-o", "--output"), "DIR"), "folder to write"]
-    run: Annotated[Path | None, Option(metavar="RUN"), "run folder it was baked from: distance of mesh and field"] = (
-        None
-    )
-    capture: Annotated[Path | None, Option(metavar="CAPTURE"), "capture with truth/: distance to the true surface"] = (
-        None
-    )
-    joint: Annotated[
-        tuple[str, ...], Option(metavar="NAME", parse=parse_joint, repeated=True),
-        "show this joint's weight alone; again for more"
-    ] = ()
+    run: Annotated[Path | None, Option(metavar="RUN"),
+        "run folder it was baked from: distance of mesh and field"] = None
+    capture: Annotated[Path | None, Option(metavar="CAPTURE"),
+        "capture with truth/: distance to the true surface"] = None
+    joint: Annotated[tuple[str, ...], Option(metavar="NAME", parse=parse_joint, repeated=True),
+        "show this joint's weight alone; again for more"] = ()
     size: Annotated[int, AtLeast(64), AtMost(2048), "side of the large views, pixels"] = 520
     turns: Annotated[int, AtLeast(2), AtMost(720), "views of the turntable"] = 36
     context: Annotated[str, OneOf(("auto", "egl", "osmesa")), "how to reach OpenGL"] = "auto"
@@ -78,16 +74,7 @@ def inspect_main(argv: list[str]) -> int:
     from bench.inspect.command import inspect
 
     began = time.perf_counter()
-    inspection = inspect(
-        options.avatar,
-        options.output,
-        run=options.run,
-        capture=options.capture,
-        joints=list(options.joint),
-        size=options.size // 2 * 2,
-        turns=options.turns,
-        context_kind=options.context,
-    )
+    inspection = inspect(options)
     for check in inspection.checks:
         mark = {True: "good", False: "LOOK", None: "    "}[check.good]
         print(f"{mark}  {check.what}: {check.value} (expected: {check.expected})")

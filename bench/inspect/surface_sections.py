@@ -1,5 +1,7 @@
 """Sections on the surface that the file holds: parts, weights, texels, seams, cones, triangles."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from PIL import Image, ImageDraw
 
@@ -37,7 +39,7 @@ def parts(inspector: Inspector) -> PageSection:
     )
 
 
-def weights(inspector: Inspector, joints: list[str]) -> PageSection:
+def weights(inspector: Inspector, joints: Sequence[str]) -> PageSection:
     """Skin weights: the heaviest joint, and single joints."""
     skin, palette = inspector.level.skin, categorical(52)
     dense = dense_weights(skin)

@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from avatar.gltf.avatar_file import Avatar, read_avatar
+from bench.bench_command import BenchCommand
 from bench.ladder.machine import Quiet
 from bench.ladder.rung_pictures import (
-    FRAMES,
+    SIZE,
     ComparedFrame,
     flicker_frames,
     held_out_frames,
@@ -34,20 +35,12 @@ from player.gl.context import Context, opened
 Pictures = list[Float[np.ndarray, "height width 3"]]
 
 
-def bench(
-    avatar_path: Path,
-    out: Path,
-    *,
-    run: Path | None = None,
-    capture: Path | None = None,
-    rounds: int = 20,
-    count: int = FRAMES,
-    size: tuple[int, int] | None = None,
-) -> Json:
-    """Measure the ladder, write bench.html, bench.json, bench.md, pareto.png and rungs.png into folder `out`."""
-    avatar = read_avatar(avatar_path)
-    sized = {} if size is None else {"size": size}
-    frames = held_out_frames(capture, count) if capture is not None else motion_frames(avatar, count, **sized)
+def bench(command: BenchCommand) -> Json:
+    """Measure the ladder, write bench.html, bench.json, bench.md, pareto.png and rungs.png into its folder."""
+    assert command.avatar is not None
+    avatar, capture, run, rounds = read_avatar(command.avatar), command.capture, command.run, command.rounds
+    count, size = command.frames, command.size or SIZE
+    frames = held_out_frames(capture, count) if capture is not None else motion_frames(avatar, count, size)
     context = opened("auto", None)
     try:
         rungs = rungs_of(avatar)
@@ -96,7 +89,7 @@ def bench(
     first = PagePictures(
         {name: shown[0] for name, shown in pictures.items()}, truths[0] if truths else None, crops[0], parts[0]
     )
-    with whole_folder(out) as folder:
+    with whole_folder(command.out) as folder:
         write_json(folder / "bench.json", result)
         write_text(folder / "bench.md", markdown(result))
         write_text(folder / "bench.html", frontier_page(result, first, avatar, rungs))

@@ -1,54 +1,18 @@
 """The table of one evaluation, printed or as Markdown, with the paper's numbers beside it."""
 
-import sys
 from collections.abc import Sequence
-from typing import TextIO
 
 from bench.report.writer import Json, markdown_table, number
 from bench.score.metrics import METRICS, Metric, text_of
 from capture.held_out import SETS
 
-# TotalSelfScan (Dong et al. 2022) on SynTotalHuman, tables 1 to 4; distances in cm, PSNR in dB. Rows of other methods
-# are quoted until those are built here.
-REGIONS = ("head", "hands", "total")
-GEOMETRY = ("p2s_cm", "chamfer_cm")
-IMAGE = ("psnr_db", "ssim", "lpips")
-
-Scores = dict[str, dict[str, float]]  # region, then metric
-
-
-def _row(names: tuple[str, ...], *numbers: float) -> Scores:
-    """Numbers in the order of the paper's columns: head, hands, total, each with `names`."""
-    width = len(names)
-    assert len(numbers) == width * len(REGIONS)
-    return {region: dict(zip(names, numbers[i * width : (i + 1) * width])) for i, region in enumerate(REGIONS)}
-
-
-QUOTED_GEOMETRY = {  # table 1
-    "NeuralBody": _row(GEOMETRY, 1.55, 1.46, 1.29, 1.19, 2.16, 1.98),
-    "AniNeRF": _row(GEOMETRY, 1.80, 1.69, 1.12, 1.00, 2.55, 2.21),
-    "AniSDF": _row(GEOMETRY, 0.76, 0.91, 0.79, 0.75, 1.90, 1.97),
-}
-QUOTED_IMAGE = {  # table 2
-    "NeuralBody": _row(IMAGE, 18.94, 0.914, 0.184, 18.51, 0.893, 0.240, 19.97, 0.855, 0.239),
-    "AniNeRF": _row(IMAGE, 20.92, 0.928, 0.153, 20.60, 0.907, 0.179, 23.71, 0.889, 0.185),
-    "AniSDF": _row(IMAGE, 21.91, 0.934, 0.104, 21.31, 0.930, 0.111, 25.57, 0.916, 0.129),
-}
-PAPER_GEOMETRY = {  # tables 1 and 3
-    "ours": _row(GEOMETRY, 0.59, 0.82, 0.55, 0.52, 1.84, 1.89),
-    "single": _row(GEOMETRY, 1.03, 1.26, 1.25, 1.22, 1.95, 1.97),
-}
-PAPER_IMAGE = {  # tables 2 and 4
-    "ours": _row(IMAGE, 22.23, 0.934, 0.084, 22.49, 0.941, 0.076, 26.15, 0.921, 0.114),
-    "single": _row(IMAGE, 20.38, 0.919, 0.120, 20.75, 0.927, 0.140, 25.19, 0.907, 0.144),
-    "no_ray_transform": _row(IMAGE, 21.07, 0.933, 0.095, 22.14, 0.939, 0.085, 25.43, 0.916, 0.123),
-}
-# its crops are unknown: PSNR is context, no bar
+# TotalSelfScan (Dong et al. 2022) on SynTotalHuman, tables 1 and 2; distances in cm, PSNR in dB. Its crops are unknown:
+# PSNR is context, no bar
 PAPER: dict[str, dict[str, float | None]] = {
-    region: {**PAPER_GEOMETRY["ours"][region], **PAPER_IMAGE["ours"][region], "flip": None} for region in REGIONS
+    "head": {"p2s_cm": 0.59, "chamfer_cm": 0.82, "psnr_db": 22.23, "ssim": 0.934, "lpips": 0.084, "flip": None},
+    "hands": {"p2s_cm": 0.55, "chamfer_cm": 0.52, "psnr_db": 22.49, "ssim": 0.941, "lpips": 0.076, "flip": None},
+    "total": {"p2s_cm": 1.84, "chamfer_cm": 1.89, "psnr_db": 26.15, "ssim": 0.921, "lpips": 0.114, "flip": None},
 }
-
-MODES = ("off", "vertex", "linear", "network")
 
 # what the columns of decibels count, under every table
 DECIBELS = (
@@ -110,16 +74,10 @@ def markdown(result: Json) -> str:
     lines += markdown_table(["", *(metric.title for metric in METRICS)], table_rows(result))
     baked = result["baked_vs_field"]
     if baked.get("paper_db") is not None:
-        lines += [
-            "",
-            f"Baked against field: paper mode {baked['paper_db']} dB, network {baked['network_db']} dB.",
-        ]
+        lines += ["", f"Baked against field: paper mode {baked['paper_db']} dB, network {baked['network_db']} dB."]
     if "on_held_out" in baked:
         held = baked["on_held_out"]
-        lines += [
-            "",
-            f"On held-out poses: {held['paper_db']} dB, worst {held['worst_db']} ({held['worst']}).",
-        ]
+        lines += ["", f"On held-out poses: {held['paper_db']} dB, worst {held['worst_db']} ({held['worst']})."]
     lines += ["", *DECIBELS]
     lines += [line for part in (view_mode_lines(result), lost_lines(result)) if part for line in ("", *part)]
     return "\n".join(lines) + "\n"
@@ -163,11 +121,11 @@ def lost_lines(result: Json) -> list[str]:
     return ["What was lost in baking, as the file says and as measured now:", *lines]
 
 
-def print_table(result: Json, file: TextIO | None = None) -> None:
+def print_table(result: Json) -> None:
+    """The table on standard output, and what its numbers mean."""
     rows = [["", *(metric.title for metric in METRICS)], *table_rows(result)]
     wide = max(len(row[0]) for row in rows)
     for row in rows:
-        print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]), file=file or sys.stdout)
-    print(f"input: {result.get('input', 'given')}", file=file or sys.stdout)
-    for line in (*DECIBELS, *view_mode_lines(result), *lost_lines(result)):
-        print(line, file=file or sys.stdout)
+        print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]))
+    print(f"input: {result.get('input', 'given')}")
+    print("\n".join((*DECIBELS, *view_mode_lines(result), *lost_lines(result))))

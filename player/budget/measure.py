@@ -42,6 +42,11 @@ class BudgetScene(NamedTuple):
     # a film needs the picture back, a window does not
     reads_back: bool
 
+    def renderer(self, context: Context, rung: Rung, effects: Effects | None = None) -> Renderer:
+        """What draws it as a rung says, with its own effects or others."""
+        drawn = self.effects if effects is None else effects
+        return rung.renderer(context, self.avatars, self.size, effects=drawn, background=self.background)
+
 
 def price(
     context: Context, scene: BudgetScene, rungs: Sequence[Rung], *, rounds: int = ROUNDS,
@@ -49,7 +54,7 @@ def price(
 ) -> list[PricedRung]:  # fmt: skip
     """The rungs that are worth timing, timed in alternating rounds and compared with the first. What another rung
     surely beats after SIEVE_ROUNDS is left out."""
-    with released(_renderer(context, scene, rung) for rung in rungs) as renderers:
+    with released(scene.renderer(context, rung) for rung in rungs) as renderers:
         errors, timed = _errors(renderers, scene), partial(frame_times, context, reads_back=scene.reads_back)
         kept = worth_timing(timed(renderers, scene.frames, range(min(SIEVE_ROUNDS, rounds))), errors)
         ms = timed([renderers[k] for k in kept], scene.frames, report(range(rounds)))
@@ -71,14 +76,6 @@ def steady_p95(ms: Float[np.ndarray, "rounds rungs"], frames: int) -> list[float
     return [float(np.percentile(np.outer(own, spread), 95)) for own in medians.T]
 
 
-def rung_times(
-    context: Context, scene: BudgetScene, rungs: Sequence[Rung], rounds: int = ROUNDS
-) -> Float[np.ndarray, "rounds rungs"]:
-    """Milliseconds of every one of the rungs in alternating rounds."""
-    with released(_renderer(context, scene, rung) for rung in rungs) as renderers:
-        return frame_times(context, renderers, scene.frames, range(rounds), reads_back=scene.reads_back)
-
-
 def worth_timing(ms: Float[np.ndarray, "rounds rungs"], errors: Sequence[float]) -> list[int]:
     """The numbers of the rungs that none is SURELY times faster than without being less exact."""
     fastest = ms.min(0)
@@ -89,13 +86,9 @@ def worth_timing(ms: Float[np.ndarray, "rounds rungs"], errors: Sequence[float])
 
 def check(context: Context, scene: BudgetScene, rung: Rung) -> float:
     """Milliseconds of one rung now, the median of a few frames."""
-    with released([_renderer(context, scene, rung)]) as (renderer,):
+    with released([scene.renderer(context, rung)]) as (renderer,):
         frames = [scene.frames[number % len(scene.frames)] for number in range(CHECK_ROUNDS + 2)]
         return float(np.median([frame_ms(context, renderer, *frame, scene.reads_back) for frame in frames][2:]))
-
-
-def _renderer(context: Context, scene: BudgetScene, rung: Rung) -> Renderer:
-    return rung.renderer(context, scene.avatars, scene.size, effects=scene.effects, background=scene.background)
 
 
 def _errors(renderers: Sequence[Renderer], scene: BudgetScene) -> list[float]:
@@ -128,12 +121,7 @@ def effect_prices(
     ways = [scene.effects, *(replace(scene.effects, **{name: nothing[name]}) for name in names)]
     tables = {setting.name: setting.table for setting in settings_of(Effects) if setting.table is not None}
     ways += [replace(scene.effects, **{name: tables[name]()}) for name in offered]
-    drawn = (
-        replace(rung, view=effects.view).renderer(
-            context, scene.avatars, scene.size, effects=effects, background=scene.background
-        )
-        for effects in ways
-    )
+    drawn = (scene.renderer(context, replace(rung, view=effects.view), effects) for effects in ways)
     with released(drawn) as renderers:
         ms = np.array([_round(context, renderers, scene, number) for number in range(rounds)])
     # one that shows nothing now is as fast as none, and half of the time faster

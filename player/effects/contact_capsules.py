@@ -22,7 +22,6 @@ from player.draw.posing import PosedBones
 
 Array = np.ndarray
 
-CAPSULES = 16  # at most; player/gl/blocks.py, shaders/contact.glsl
 WITHIN = 20.0  # percent of the distances from surface to bone: thin enough to stay inside the body
 CROWN = 0.12  # metres of a head above its joint
 # less than this share of the hemisphere is left out, so that what a capsule darkens has an end

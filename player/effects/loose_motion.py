@@ -15,8 +15,6 @@ from player.effects.loose_parts import DrivenPose, LooseParts
 from player.effects.loose_sheets import STEP, Sheets
 from player.effects.secondary_motion import SecondaryMotion
 
-Array = np.ndarray
-
 # seconds; after a longer frame, or a step back in time, particles begin anew where they are skinned to
 LONGEST = 0.5
 SPEED_CAP = 8.0  # metres a second relative to the pose, of a grown person

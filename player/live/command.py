@@ -68,41 +68,19 @@ def milliseconds(text: str) -> float:
 class LiveCommand:
     """The live poses of `selfscan play`."""
 
-    live: Annotated[
-        Address | None,
-        LIVE,
-        Option(metavar="vmc:PORT|udp:PORT|ws:PORT", parse=source),
+    live: Annotated[Address | None, LIVE, Option(metavar="vmc:PORT|udp:PORT|ws:PORT", parse=source),
         "pose by what arrives: VMC (usual port 39539), or our JSON over UDP or WebSocket; this machine only, unless "
-        "HOST:PORT names another interface (0.0.0.0: all)",
-    ] = None
-    smooth: Annotated[
-        float | None,
-        LIVE.rare,
-        AtLeast(0.01),
-        AtMost(1000),
-        Option(metavar="HZ", const=LEAST),
-        f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})",
-    ] = None
-    buffer: Annotated[
-        float | None,
-        LIVE.rare,
-        Option(metavar="MS", parse=milliseconds),
-        "show poses MS late, evenly, instead of the newest as it comes",
-    ] = None
-    calibrate: Annotated[
-        float | None,
-        LIVE.rare,
-        AtLeast(0),
-        AtMost(3600),
-        Option(metavar="S"),
-        "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)",
-    ] = None
-    record: Annotated[
-        str | None, LIVE.rare, Option(metavar="FILE.npz"), "write what came as an AMASS pose file at the end"
-    ] = None
-    latency: Annotated[
-        str | None, LIVE.rare, Option(metavar="FILE.csv"), "write when each pose was sent, received, applied, drawn"
-    ] = None
+        "HOST:PORT names another interface (0.0.0.0: all)"] = None
+    smooth: Annotated[float | None, LIVE.rare, AtLeast(0.01), AtMost(1000), Option(metavar="HZ", const=LEAST),
+        f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})"] = None
+    buffer: Annotated[float | None, LIVE.rare, Option(metavar="MS", parse=milliseconds),
+        "show poses MS late, evenly, instead of the newest as it comes"] = None
+    calibrate: Annotated[float | None, LIVE.rare, AtLeast(0), AtMost(3600), Option(metavar="S"),
+        "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)"] = None
+    record: Annotated[str | None, LIVE.rare, Option(metavar="FILE.npz"),
+        "write what came as an AMASS pose file at the end"] = None
+    latency: Annotated[str | None, LIVE.rare, Option(metavar="FILE.csv"),
+        "write when each pose was sent, received, applied, drawn"] = None
 
 
 @dataclass(frozen=True)
@@ -110,23 +88,16 @@ class StreamCommand:
     """`selfscan stream`."""
 
     motion: Annotated[str, Option(positional=True, metavar="MOTION"), "pose file (.npz, .bvh), or: counting, walking"]
-    to: Annotated[
-        Address,
-        Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
-        "VMC or our JSON; HOST may be left out: this machine",
-    ]
-    rate: Annotated[
-        float | None, AtLeast(0.1), AtMost(FASTEST), Option(metavar="R"), "poses a second (default: the motion's)"
-    ] = None
+    to: Annotated[Address, Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
+        "VMC or our JSON; HOST may be left out: this machine"]
+    rate: Annotated[float | None, AtLeast(0.1), AtMost(FASTEST), Option(metavar="R"),
+        "poses a second (default: the motion's)"] = None
     loop: Annotated[bool, "start over at the end, until stopped"] = False
     body: Annotated[str | None, Option(metavar="MODEL"), "SMPL+H model (.npz) that the pose file was made for"] = None
 
 
-STREAM = Help(
-    "selfscan stream",
-    "Send a motion as live poses: to `selfscan play --live`, or to any program that takes VMC.",
-    EXAMPLES,
-)
+SENDS = "Send a motion as live poses: to `selfscan play --live`, or to any program that takes VMC."
+STREAM = Help("selfscan stream", SENDS, EXAMPLES)
 
 
 def stream_main(argv: list[str]) -> int:
@@ -145,8 +116,7 @@ def stream_main(argv: list[str]) -> int:
             sent = send(poses, encode, lambda data: deliver(connection, data))
         except OSError as error:
             raise AssetError(f"{options.to}: {error.strerror or error}") from None
-    took = time.monotonic() - began
-    print(f"{sent} poses sent in {took:.1f} s")
+    print(f"{sent} poses sent in {time.monotonic() - began:.1f} s")
     return 0
 
 

@@ -85,11 +85,3 @@ def clip_of(keys: Keys, rate: float | int, easing: Easing = "linear", pelvis_hei
     """Every frame from 0 to the last key."""
     poses = [pose_at(keys, frame, easing) for frame in range(keys[-1][0] + 1)]
     return Clip(np.stack([p.axis_angle for p in poses]), np.stack([p.root for p in poses]), rate, (), pelvis_height)
-
-
-def difference(a: Pose, b: Pose) -> float:
-    """The largest angle between joints, radians, or distance between roots, metres."""
-    p, q = (rotation.quaternion_from_axis_angle(pose.axis_angle) for pose in (a, b))
-    q = np.where(np.sum(p * q, -1, keepdims=True) < 0, -q, q)
-    angle = 4 * np.arctan2(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
-    return max(float(angle.max()), float(np.linalg.norm(a.root - b.root)))

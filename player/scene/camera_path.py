@@ -13,12 +13,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
 
 from avatar.camera import LARGEST, Camera, camera_from_json, look_at
 from command.errors import AssetError
+from command.settings import AtLeast, AtMost, Refused, SettingsSource, record_of, settings
 from files import input_file
 from files.whole import write_json
 from player.scene.framing import FOV
@@ -28,6 +30,7 @@ Array = np.ndarray
 # eye (3), target (3), up (3), log of the two focal lengths, skew, principal point from the middle;
 # the last five in image heights, so that any image size shows the same vertical field of view
 Key = Float[Array, "14"]
+Place = tuple[float, float, float]
 # the most bytes of a file of camera paths
 MAX_BYTES = 1 << 24
 SHORTEST = 1e-6  # metres from eye to target under which no direction is left
@@ -175,20 +178,29 @@ def camera_of(key: Key, size: tuple[int, int]) -> Camera:
 def _read_key(place: str, key: dict[str, object]) -> Key:
     if "camera_from_world" in key or "K" in key:
         return key_of(camera_from_json(place, key), 3.0)
-    unknown = key.keys() - {"t", "eye", "target", "up", "fov_deg"}
-    if unknown:
-        raise AssetError(f"{place}: {sorted(unknown)} is unknown; a key has t, eye, target, up, fov_deg")
-    eye, target = _vector(place, key, "eye"), _vector(place, key, "target")
-    up = _vector(place, key, "up") if "up" in key else np.array([0.0, 1.0, 0.0])
-    if np.linalg.norm(target - eye) < SHORTEST:
-        raise AssetError(f"{place}: eye and target coincide at {eye.tolist()}")
-    if not np.linalg.norm(up) > SHORTEST:
-        raise AssetError(f"{place}: up should be a direction, is {up.tolist()}")
-    fov = _number(place, key, "fov_deg") if "fov_deg" in key else math.degrees(FOV)
-    if not 0.1 <= fov <= 175:
-        raise AssetError(f"{place}: fov_deg should be from 0.1 to 175 degrees, is {fov:g}")
-    focal = math.log(0.5 / math.tan(math.radians(fov) / 2))
-    return np.concatenate([eye, target, up, [focal, focal, 0.0, 0.0, 0.0]])
+    own = {name: value for name, value in key.items() if name != "t"}
+    try:
+        view = record_of(_EyeKey, own, SettingsSource(), shown="a key")
+    except Refused as error:
+        raise AssetError(f"{place}: {error}") from None
+    focal = math.log(0.5 / math.tan(math.radians(view.fov_deg) / 2))
+    return np.array([*view.eye, *view.target, *view.up, focal, focal, 0.0, 0.0, 0.0])
+
+
+@settings
+class _EyeKey:
+    """An eye that looks at a target; world, metres."""
+
+    eye: Annotated[Place, AtLeast(-LARGEST), AtMost(LARGEST), "where the camera is"]
+    target: Annotated[Place, AtLeast(-LARGEST), AtMost(LARGEST), "what it looks at"]
+    up: Annotated[Place, AtLeast(-LARGEST), AtMost(LARGEST), "what is up in the picture"] = (0.0, 1.0, 0.0)
+    fov_deg: Annotated[float, AtLeast(0.1), AtMost(175), "vertical field of view, degrees"] = math.degrees(FOV)
+
+    def __post_init__(self):
+        if math.dist(self.target, self.eye) < SHORTEST:
+            raise ValueError(f"target: expected another place than the eye's, found {list(self.eye)}")
+        if not math.hypot(*self.up) > SHORTEST:
+            raise ValueError(f"up: expected a direction, found {list(self.up)}")
 
 
 def _number(place: str, key: dict[str, object], name: str) -> float:
@@ -196,14 +208,3 @@ def _number(place: str, key: dict[str, object], name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
         raise AssetError(f"{place}: {name} should be a number, is {str(value)[:60]}")
     return float(value)
-
-
-def _vector(place: str, key: dict[str, object], name: str) -> Float[Array, "3"]:
-    value = key.get(name)
-    try:
-        array = np.asarray(value, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.zeros(0)
-    if array.shape != (3,) or not (np.abs(array) < LARGEST).all():
-        raise AssetError(f"{place}: {name} should be three numbers, is {str(value)[:60]}")
-    return array

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from player.window.parts import WindowParts
     from player.window.posing import PoseEdit
+    from player.window.timeline import Timeline
 
 Walk = tuple[int, int, int]  # right, up, ahead
 When = Callable[["WindowParts"], bool]
@@ -61,21 +62,9 @@ def shown_key(key: str) -> str:
 ARROWS = {"left": "left arrow", "right": "right arrow", "f1": "F1", "escape": "Escape", "delete": "Delete"}
 
 
-def step(frames: int) -> Callable[["WindowParts"], None]:
-    return lambda parts: parts.state.timeline.step(frames)
-
-
-def jump(seconds: float) -> Callable[["WindowParts"], None]:
-    def go(parts: "WindowParts") -> None:
-        line = parts.state.timeline
-        line.seek(line.frame + round(seconds * line.rate))
-
-    return go
-
-
-def range_off(parts: "WindowParts") -> None:
-    parts.state.timeline.set_a(None)
-    parts.state.timeline.set_b(None)
+def timed(act: Callable[["Timeline"], object]) -> Callable[["WindowParts"], object]:
+    """What is done to the timeline."""
+    return lambda parts: act(parts.state.timeline)
 
 
 def toggle_follow(parts: "WindowParts") -> None:
@@ -122,25 +111,19 @@ def is_dragging(parts: "WindowParts") -> bool:
     return parts.posing.edit is not None and parts.posing.edit.tool.held is not None
 
 
-PLAY = Action("play or pause", ("space",), lambda parts: parts.state.timeline.toggle())
-STEP_BACK = Action("pause and go one frame back", (",",), step(-1))
-STEP_ON = Action("pause and go one frame on", (".",), step(1))
-SECOND_BACK = Action("go one second back", ("left",), jump(-1.0))
-SECOND_ON = Action("go one second on", ("right",), jump(1.0))
-FIRST_FRAME = Action("go to the first frame", ("home",), lambda parts: parts.state.timeline.seek(0))
-LAST_FRAME = Action(
-    "go to the last frame", ("end",), lambda parts: parts.state.timeline.seek(parts.state.timeline.frames - 1)
-)
-SLOWER = Action("play slower (down to 0.1 times)", ("[",), lambda parts: parts.state.timeline.faster(-1))
-FASTER = Action("play faster (up to 4 times)", ("]",), lambda parts: parts.state.timeline.faster(1))
-LOOP = Action("at the end: loop, to and fro, or once", ("l",), lambda parts: parts.state.timeline.next_loop())
-RANGE_A = Action(
-    "begin the range A-B at this frame", ("a",), lambda parts: parts.state.timeline.set_a(parts.state.timeline.frame)
-)
-RANGE_B = Action(
-    "end the range A-B with this frame", ("b",), lambda parts: parts.state.timeline.set_b(parts.state.timeline.frame)
-)
-RANGE_OFF = Action("play the whole motion again", ("x",), range_off)
+PLAY = Action("play or pause", ("space",), timed(lambda line: line.toggle()))
+STEP_BACK = Action("pause and go one frame back", (",",), timed(lambda line: line.step(-1)))
+STEP_ON = Action("pause and go one frame on", (".",), timed(lambda line: line.step(1)))
+SECOND_BACK = Action("go one second back", ("left",), timed(lambda line: line.seek(line.frame - round(line.rate))))
+SECOND_ON = Action("go one second on", ("right",), timed(lambda line: line.seek(line.frame + round(line.rate))))
+FIRST_FRAME = Action("go to the first frame", ("home",), timed(lambda line: line.seek(0)))
+LAST_FRAME = Action("go to the last frame", ("end",), timed(lambda line: line.seek(line.frames - 1)))
+SLOWER = Action("play slower (down to 0.1 times)", ("[",), timed(lambda line: line.faster(-1)))
+FASTER = Action("play faster (up to 4 times)", ("]",), timed(lambda line: line.faster(1)))
+LOOP = Action("at the end: loop, to and fro, or once", ("l",), timed(lambda line: line.next_loop()))
+RANGE_A = Action("begin the range A-B at this frame", ("a",), timed(lambda line: line.set_a(line.frame)))
+RANGE_B = Action("end the range A-B with this frame", ("b",), timed(lambda line: line.set_b(line.frame)))
+RANGE_OFF = Action("play the whole motion again", ("x",), timed(lambda line: line.range_off()))
 
 NEXT_CAMERA = Action("next camera", ("c",), lambda parts: parts.viewpoint.next_camera())
 RESET_CAMERA = Action("reset the orbit", ("r",), lambda parts: parts.viewpoint.cameras.orbit.reset())
@@ -196,9 +179,7 @@ FIRST_PERSON = KeyGroup(
 )
 POSING = KeyGroup(
     "Posing by hand",
-    (
-        UNDO, REDO, COPY_LIMB, COPY_POSE, PASTE, PASTE_MIRRORED, MIRROR, TO_GROUND, SET_KEY, DELETE_KEY, GIVE_UP,
-    ),
+    (UNDO, REDO, COPY_LIMB, COPY_POSE, PASTE, PASTE_MIRRORED, MIRROR, TO_GROUND, SET_KEY, DELETE_KEY, GIVE_UP),
     is_posing,
 )  # fmt: skip
 GROUPS = (

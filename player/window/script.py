@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 RATE = 30.0
 DRAG_FRAMES = 4
-NUMBERS = {"click": (2, 3), "drag": (4, 5), "move": (2,), "scrub": (1,), "turn": (2,), "near": (1,), "wheel": (1,),
-           "size": (2,)}  # fmt: skip
 # what it gives back, if it can be called, is done after the frame's time
 Step = Callable[["Window"], object]
 
@@ -47,9 +45,7 @@ def _steps(word: str) -> list[Step]:
     if word == "pose":
         return [lambda window: _wait_for_pose(window)]
     if name == "press" and rest:
-        rest = rest.replace("_", " ")
-        return [lambda window: _aim(window, rest), lambda window: window.on_button(0, True),
-                lambda window: window.on_button(0, False)]  # fmt: skip
+        return [lambda window: _aim(window, rest.replace("_", " ")), *_pressed(0)]
     if name == "type" and rest:
         return [lambda window, letter=letter: window.on_text(ord(letter)) for letter in rest.replace("_", " ")]
     if name in ("down", "up") and rest in KEYS:
@@ -58,26 +54,11 @@ def _steps(word: str) -> list[Step]:
         numbers = [float(value) for value in rest.split(":")]
     except ValueError:
         numbers = []
-    if len(numbers) not in NUMBERS.get(name, ()):
+    gesture, counts = GESTURES.get(name, (None, ()))
+    if gesture is None or len(numbers) not in counts:
         known = "wait, pose, turn:DX:DY, near:N, size:W:H, click:X:Y, drag:X:Y:X2:Y2, scrub:SECONDS, press:NAME"
         raise ValueError(f"script: {word!r} is no key; there are {', '.join(KEYS)}, {known}")
-    if name == "click":
-        button = int(numbers[2]) if len(numbers) > 2 else 0
-        return [lambda window: window.on_pointer(*numbers[:2]), lambda window: window.on_button(button, True),
-                lambda window: window.on_button(button, False)]  # fmt: skip
-    if name == "drag":
-        return _drag(numbers)
-    if name == "move":
-        return [lambda window: window.on_pointer(*numbers)]
-    if name == "scrub":
-        return [lambda window: window.parts.state.timeline.scrub(numbers[0])]
-    if name == "turn":
-        return [lambda window: window.parts.viewpoint.cameras.turn(*numbers)]
-    if name == "near":
-        return [lambda window: window.parts.viewpoint.cameras.approach(numbers[0])]
-    if name == "wheel":
-        return [lambda window: window.on_wheel(numbers[0])]
-    return [lambda window: glfw.set_window_size(window.screen.handle, int(numbers[0]), int(numbers[1]))]
+    return gesture(*numbers)
 
 
 def _wait_for_pose(window: "Window") -> None:
@@ -98,11 +79,28 @@ def _aim(window: "Window", name: str) -> None:
     window.on_pointer(*places[name])
 
 
-def _drag(numbers: Sequence[float]) -> list[Step]:
-    x0, y0, x1, y1 = numbers[:4]
-    button = int(numbers[4]) if len(numbers) > 4 else 0
-    out: list[Step] = [lambda window: window.on_pointer(x0, y0), lambda window: window.on_button(button, True)]
+def _pressed(button: float) -> list[Step]:
+    """A button of the mouse goes down in one frame and up in another."""
+    return [lambda window: window.on_button(int(button), True), lambda window: window.on_button(int(button), False)]
+
+
+def _drag(x0: float, y0: float, x1: float, y1: float, button: float = 0) -> list[Step]:
+    down, up = _pressed(button)
+    out: list[Step] = [lambda window: window.on_pointer(x0, y0), down]
     for k in range(1, DRAG_FRAMES + 1):
         part = k / DRAG_FRAMES
         out.append(lambda window, part=part: window.on_pointer(x0 + part * (x1 - x0), y0 + part * (y1 - y0)))
-    return [*out, lambda window: window.on_button(button, False)]
+    return [*out, up]
+
+
+# what is done by numbers, and how many of them there may be
+GESTURES: dict[str, tuple[Callable[..., list[Step]], tuple[int, ...]]] = {
+    "click": (lambda x, y, button=0: [lambda window: window.on_pointer(x, y), *_pressed(button)], (2, 3)),
+    "drag": (_drag, (4, 5)),
+    "move": (lambda x, y: [lambda window: window.on_pointer(x, y)], (2,)),
+    "scrub": (lambda seconds: [lambda window: window.parts.state.timeline.scrub(seconds)], (1,)),
+    "turn": (lambda dx, dy: [lambda window: window.parts.viewpoint.cameras.turn(dx, dy)], (2,)),
+    "near": (lambda clicks: [lambda window: window.parts.viewpoint.cameras.approach(clicks)], (1,)),
+    "wheel": (lambda clicks: [lambda window: window.on_wheel(clicks)], (1,)),
+    "size": (lambda w, h: [lambda window: glfw.set_window_size(window.screen.handle, int(w), int(h))], (2,)),
+}

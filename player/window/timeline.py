@@ -98,6 +98,10 @@ class Timeline:
         if self.a is not None and self.b is not None and self.b < self.a:
             self.a = None
 
+    def range_off(self) -> None:
+        """The whole clip again."""
+        self.a = self.b = None
+
     def status(self) -> str:
         """Frame, time and what is not as usual, in one line."""
         parts = [f"frame {self.frame}/{self.frames}", f"{self.frame / self.rate:.1f} s"]

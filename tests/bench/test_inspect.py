@@ -17,7 +17,7 @@ from bench.inspect.accuracy_sections import from_field, from_truth
 from bench.inspect.colors import ABSENT, SEQUENTIAL, Ramp, rgb
 from bench.inspect.command import inspect
 from bench.inspect.face_section import beside_truth, region_db
-from bench.inspect.options import inspect_main
+from bench.inspect.options import InspectCommand, inspect_main
 from bench.inspect.page import Check, PagePicture, PageSection, flattened, page
 from bench.score.true_mesh import read_true_mesh
 from capture.held_out import read_held_out
@@ -243,7 +243,7 @@ def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").write_text("mine")
     with pytest.raises(AssetError, match="expected an empty or absent folder"):
-        inspect(person, tmp_path / "other", size=64, turns=2)
+        inspect(InspectCommand(person, tmp_path / "other", size=64, turns=2))
     assert (tmp_path / "other" / "file").read_text() == "mine"
 
 

@@ -10,8 +10,8 @@ from painted_capture import write_capture
 
 import experiments.table_row
 import experiments.tables
-from bench.score.quality_table import PAPER_IMAGE
 from command.errors import AssetError
+from experiments.paper_numbers import PAPER_IMAGE
 from experiments.table_page import as_in_paper, mean_of, page
 from experiments.tables import main
 
