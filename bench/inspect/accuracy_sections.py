@@ -32,12 +32,8 @@ def field_distance(inspector: Inspector) -> PageSection | None:
     signed, area = inspector.measured.field, mesh_facts.areas(inspector.level)
     mean = float((np.abs(signed) * area).sum() / area.sum())
     inspector.facts["field_to_mesh_mm"] = {"mean_of_worst": mean, "max": float(np.abs(signed).max())}
-    inspector.check(
-        "triangles from the field's surface, mean of each one's farthest of four points",
-        f"{mean:.3f} mm",
-        f"at most {FIELD_MEAN:g} mm",
-        mean <= FIELD_MEAN,
-    )
+    what = "triangles from the field's surface, mean of each one's farthest of four points"
+    inspector.check(what, f"{mean:.3f} mm", f"at most {FIELD_MEAN:g} mm", mean <= FIELD_MEAN)
     image = inspector.draw(FIELD.colors(signed))
     return PageSection(
         "field",
@@ -65,12 +61,8 @@ def truth_distance(inspector: Inspector) -> PageSection | None:
         found[name] = {"p2s_mm": mean, "p95_mm": p95}
         rows.append((name, f"{mean:.2f}", f"{p95:.2f}"))
     inspector.facts["truth"] = found
-    inspector.check(
-        "distance to the true surface in T-pose (P2S)",
-        f"{found['total']['p2s_mm'] / 10:.3f} cm",
-        "as small as can be",
-        None,
-    )
+    total = f"{found['total']['p2s_mm'] / 10:.3f} cm"
+    inspector.check("distance to the true surface in T-pose (P2S)", total, "as small as can be", None)
     image = inspector.draw(TRUTH.colors(millimetres))
     return PageSection(
         "truth",
@@ -88,29 +80,18 @@ def provenance(inspector: Inspector) -> list[PageSection]:
     baked, recorded = baked_facts(inspector.avatar), recorded_facts(inspector.avatar)
     paper = recorded["against_field"].get("paper_db")
     if isinstance(paper, int | float):
-        inspector.check(
-            "baked paper mode against the paper field, as baking measured it",
-            f"{paper:.2f} dB",
-            f"at least {PAPER_DB:g} dB",
-            paper >= PAPER_DB,
-        )
+        what = "baked paper mode against the paper field, as baking measured it"
+        inspector.check(what, f"{paper:.2f} dB", f"at least {PAPER_DB:g} dB", paper >= PAPER_DB)
     size = inspector.path.stat().st_size
     inspector.check("size of the file", f"{size / 1e6:.2f} MB", f"at most {MOST_BYTES / 1e6:g} MB", size <= MOST_BYTES)
     inspector.facts["bytes"] = size
     rest = {key: value for key, value in inspector.avatar.provenance.items() if key != "baked"}
+    written = [("what", "value"), *flattened(baked)] if baked else []
+    text = "As written into the file; paths are those of its JSON."
+    comes, rows = "Where the avatar comes from.", [("what", "value"), *flattened(rest)]
     return [
-        PageSection(
-            "accuracy",
-            "Measured while baking",
-            "As written into the file; paths are those of its JSON.",
-            rows=[("what", "value"), *flattened(baked)] if baked else [],
-        ),
-        PageSection(
-            "provenance",
-            "Provenance",
-            "Where the avatar comes from.",
-            rows=[("what", "value"), *flattened(rest)],
-        ),
+        PageSection("accuracy", "Measured while baking", text, rows=written),
+        PageSection("provenance", "Provenance", comes, rows=rows),
     ]
 
 
@@ -139,12 +120,8 @@ def from_field(level: Level, distance: Callable[[np.ndarray], np.ndarray]) -> Fl
 def from_truth(avatar: Avatar, level: Level, capture: Path) -> Float[np.ndarray, "vertices"]:
     """P2S at each vertex, millimetres: to the visible surface of the subject, both in pose 0."""
     truth = read_true_mesh(capture)
-    transforms = skin_transforms(
-        np.zeros((52, 3)),
-        avatar.joint_positions.astype(np.float64),
-        truth.joints[0],
-        rest=avatar.canonical_pose.astype(np.float64),
-    )
+    joints, rest = avatar.joint_positions.astype(np.float64), avatar.canonical_pose.astype(np.float64)
+    transforms = skin_transforms(np.zeros((52, 3)), joints, truth.joints[0], rest=rest)
     points = skin_points(level.positions.astype(np.float64), level.skin, transforms)
     try:
         check_same_unit(truth.vertices, points)

@@ -26,8 +26,6 @@ WITHIN = 20.0  # percent of the distances from surface to bone: thin enough to s
 CROWN = 0.12  # metres of a head above its joint
 # less than this share of the hemisphere is left out, so that what a capsule darkens has an end
 LEAST = 0.03
-# capsules and vertices looked at at once
-CHUNK = 4096
 
 
 def _bones() -> tuple[tuple[int, int], ...]:

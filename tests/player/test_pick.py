@@ -7,7 +7,7 @@ from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
 from avatar.skeleton import JOINTS, joint_transforms
 from player.draw.posing import posed_vertices
-from player.window.pick import pick
+from player.window.pointer import pick
 from player.window.pose_tool import on_plane_through, picked_joint
 
 SIZE = (60, 80)
