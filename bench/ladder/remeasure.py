@@ -5,7 +5,6 @@ the bake on both sides, so that wrong skin weights or a broken mesh in the file 
 """
 
 import numpy as np
-from jaxtyping import Integer
 from scipy.spatial import KDTree
 
 from avatar.baked_avatar import Avatar, Level
@@ -75,15 +74,9 @@ def level_facts_again(level: Level, surface: measure.FieldSurface, run: BakeSour
     """Distance of a level's triangles to the field, triangles and texel side by part."""
     mesh = TriangleMesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
     away = measure.field_to_mesh(surface.distance, mesh)
-    part = parts_of_faces(mesh, surface.mesh, np.asarray(run.surface.part, np.int64))
+    # of the run's vertex nearest to each face's middle
+    _, nearest = KDTree(surface.mesh.vertices).query(mesh.vertices[mesh.faces].mean(1))
+    part = np.asarray(run.surface.part, np.int64)[nearest]
     height, width = level.base_color.shape[:2]
     sizes = size_facts(mesh, part, level.uv.astype(np.float64)[mesh.faces] * [width, height], part)
     return {"field_to_mesh_mm": {"mean": rounded(away.mean() * 1e3), "max": rounded(away.max() * 1e3)}, **sizes}
-
-
-def parts_of_faces(
-    mesh: TriangleMesh, origin: TriangleMesh, part: Integer[np.ndarray, "vertices"]
-) -> Integer[np.ndarray, "faces"]:
-    """Part of each face: of the run's vertex nearest to its middle."""
-    _, nearest = KDTree(origin.vertices).query(mesh.vertices[mesh.faces].mean(1))
-    return part[nearest]

@@ -100,9 +100,7 @@ def median_interval(values: Float[np.ndarray, "n"]) -> tuple[float, float]:
 
 
 def mark_dominated(
-    rows: list[Json],
-    times: Sequence[Float[np.ndarray, "rounds"] | None] | None = None,
-    against: str | None = None,
+    rows: list[Json], times: Sequence[Float[np.ndarray, "rounds"] | None] | None = None, against: str | None = None
 ) -> None:
     """A rung is dominated when another is surely faster and no less exact in any picture.
 
@@ -110,15 +108,12 @@ def mark_dominated(
     intervals of the two medians do not overlap. `dominated_by` names the most exact that does. `against` names
     other scores of each row to judge by.
     """
-    scores = [row if against is None else row[against] for row in rows]
+    scores, times = [row if against is None else row[against] for row in rows], times or [None] * len(rows)
     for k, row in enumerate(rows):
         better = [
-            i
-            for i, other in enumerate(rows)
-            if i != k
-            and no_less_exact(scores[i], scores[k])
-            and surely_faster(other, row, None if times is None else times[i], None if times is None else times[k])
-        ]
+            i for i, other in enumerate(rows)
+            if i != k and no_less_exact(scores[i], scores[k]) and surely_faster(other, row, times[i], times[k])
+        ]  # fmt: skip
         scores[k]["dominated"] = bool(better)
         scores[k]["dominated_by"] = rows[min(better, key=lambda i: scores[i]["flip"])]["name"] if better else None
 
@@ -129,10 +124,7 @@ def no_less_exact(a: Json, b: Json) -> bool:
 
 
 def surely_faster(
-    a: Json,
-    b: Json,
-    times_a: Float[np.ndarray, "rounds"] | None = None,
-    times_b: Float[np.ndarray, "rounds"] | None = None,
+    a: Json, b: Json, times_a: Float[np.ndarray, "rounds"] | None, times_b: Float[np.ndarray, "rounds"] | None
 ) -> bool:
     """Whether a's time lies below b's beyond what the measurement leaves open; times of those that took turns."""
     if times_a is not None and times_b is not None:

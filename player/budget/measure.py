@@ -103,11 +103,6 @@ def _errors(renderers: Sequence[Renderer], scene: BudgetScene) -> list[float]:
 # -- effects: frames with all of them, in turns with frames without one
 
 
-def called_for(effects: Effects) -> list[str]:
-    """The settings that are not those of a scene that calls for nothing."""
-    return [one.name for one in settings_of(Effects) if one.value_in(effects) != one.value_in(NOTHING)]
-
-
 def effect_prices(
     context: Context, scene: BudgetScene, rung: Rung, *, rounds: int = EFFECT_ROUNDS, offered: Sequence[str] = ()
 ) -> dict[str, float]:
@@ -116,8 +111,8 @@ def effect_prices(
 
     offered: effects that the scene does not call for yet, by name; their price is the difference to a frame with it.
     """
-    names = called_for(scene.effects)
     nothing = {setting.name: setting.value_in(NOTHING) for setting in settings_of(Effects)}
+    names = [one.name for one in settings_of(Effects) if one.value_in(scene.effects) != nothing[one.name]]
     ways = [scene.effects, *(replace(scene.effects, **{name: nothing[name]}) for name in names)]
     tables = {setting.name: setting.table for setting in settings_of(Effects) if setting.table is not None}
     ways += [replace(scene.effects, **{name: tables[name]()}) for name in offered]

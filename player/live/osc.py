@@ -7,6 +7,7 @@ tag, and packets each after its int32 size (opensoundcontrol.org, "OSC spec 1.0"
 
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 # bytes of a packet; a VMC bundle of 55 bones has about 4500
@@ -17,7 +18,6 @@ IMMEDIATELY = 1  # time tag
 
 # Numbers: OSC's letter, and struct's
 PLAIN = {"i": "i", "f": "f", "h": "q", "d": "d", "t": "Q"}
-_layouts: dict[bytes, struct.Struct] = {}
 
 
 class OscError(ValueError):
@@ -80,7 +80,7 @@ def _message(data: bytes, start: int, end: int) -> Message | None:
         raise OscError("a string that does not end")
     letters = data[at + 1 : stop]
     at += (stop - at) // 4 * 4 + 4
-    layout = _layouts.get(letters) or _layout(letters)
+    layout = _layout(letters)
     if layout is None:
         return None
     arguments: list = []
@@ -92,15 +92,13 @@ def _message(data: bytes, start: int, end: int) -> Message | None:
     return Message(address, (*arguments, *layout.unpack_from(data, at)))
 
 
+@lru_cache(64)
 def _layout(letters: bytes) -> struct.Struct | None:
     """How the numbers lie, where the letters are at most one string, in front, and numbers."""
     numbers = letters[1:] if letters[:1] == b"s" else letters
     if len(numbers) > 16 or not all(chr(letter) in PLAIN for letter in numbers):
         return None
-    layout = struct.Struct(">" + "".join(PLAIN[chr(letter)] for letter in numbers))
-    if len(_layouts) < 64:
-        _layouts[letters] = layout
-    return layout
+    return struct.Struct(">" + "".join(PLAIN[chr(letter)] for letter in numbers))
 
 
 def _string(data: bytes, start: int, end: int) -> tuple[str, int]:

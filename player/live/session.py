@@ -39,16 +39,11 @@ def live_session(address: Address, options: LiveCommand, avatars: Sequence[Avata
         )  # fmt: skip
         if take is not None:
             take.sender_height = playback.sender_height
-        ending.callback(_print_summary, playback)
+        ending.callback(lambda: print("\n".join(playback.summary())))
         ending.callback(inbox.finish)
         print(f"live: {listener.address}", end="")
         print(" (this machine only)" if address.local else ": anyone who reaches this port poses it")
         yield playback
-
-
-def _print_summary(playback: LivePlayback) -> None:
-    for line in playback.summary():
-        print(line)
 
 
 def _write_latency(latency: Latency, options: LiveCommand) -> None:

@@ -110,15 +110,10 @@ class Take:
             raise AssetError(f"{error}; {kept}" if isinstance(error, AssetError) else kept) from None
         self.close()
         self.recording.unlink(missing_ok=True)
-        stopped = (
-            [] if self.stopped is None else [f"take: stopped after {plural(self.frames, 'frame')}: {self.stopped}"]
-        )
-        return [
-            *self.notes,
-            *motion.notes,
-            *stopped,
-            f"{self.path}: {plural(motion.frames, 'frame')} at {motion.rate:g} a second",
-        ]
+        lines = [*self.notes, *motion.notes]
+        if self.stopped is not None:
+            lines.append(f"take: stopped after {plural(self.frames, 'frame')}: {self.stopped}")
+        return [*lines, f"{self.path}: {plural(motion.frames, 'frame')} at {motion.rate:g} a second"]
 
     def close(self) -> None:
         """Give the recording up, as it is."""

@@ -47,10 +47,6 @@ def with_key(keys: Keys, frame: int, pose: Pose) -> Keys:
     return tuple(sorted([*((f, p) for f, p in keys if f != frame), (frame, pose)], key=lambda key: key[0]))
 
 
-def without_key(keys: Keys, frame: int) -> Keys:
-    return tuple(key for key in keys if key[0] != frame)
-
-
 def minimum_jerk(t: Float[Array, "*b"] | float) -> Float[Array, "*b"] | float:
     """Minimum-jerk ease from 0 to 1 (Flash and Hogan 1985): 10 t^3 - 15 t^4 + 6 t^5."""
     t = np.clip(t, 0, 1)

@@ -13,7 +13,6 @@ from avatar.motion.amass import read_amass, write_amass
 from avatar.motion.clip import Clip, fitted
 from avatar.motion.read import read_motion
 from command.errors import AssetError
-from command.progress import plural
 from files.npz import read_npz
 from player.pose.keyframes import Easing, Keys, Pose, clip_of
 
@@ -38,18 +37,18 @@ def write_pose(path: Path | str, pose: Pose, *, pelvis_height: float | None, up:
     write_amass(path, clip, up=up)
 
 
-def read_pose(path: Path | str, frame: int = 0, *, pelvis_height: float | None = None) -> Pose:
-    """One frame of any pose file, the root scaled to a body whose pelvis stands at `pelvis_height`.
+def read_pose(path: Path | str, *, pelvis_height: float | None = None) -> Pose:
+    """The first frame of any pose file, the root scaled to a body whose pelvis stands at `pelvis_height`.
 
     Raises:
-        AssetError: the file is no motion, is damaged, or has no such frame.
+        AssetError: the file is no motion, is damaged, or has no frame.
     """
     motion = read_motion(path)
-    if not 0 <= frame < motion.frames:
-        raise AssetError(f"{path}: frame {frame} asked for, it has {plural(motion.frames, 'frame')}, the first is 0")
+    if not motion.frames:
+        raise AssetError(f"{path}: expected a pose, found no frame")
     if pelvis_height is not None:
         motion = fitted(motion, pelvis_height)
-    clip = motion.read(frame, frame + 1)
+    clip = motion.read(0, 1)
     return Pose(clip.axis_angle[0], clip.root[0])
 
 
@@ -103,8 +102,7 @@ def read_keys(path: Path | str, *, pelvis_height: float | None = None) -> KeyedT
 
 
 def _easing(path: Path | str, fields: dict[str, np.ndarray]) -> Easing:
-    found = str(fields.get(EASING, np.array("linear")).reshape(-1)[:1].astype(str).tolist())
-    for easing in ("linear", "smooth"):
-        if found == str([easing]):
-            return easing
+    found = fields.get(EASING, np.array("linear")).reshape(-1)[:1].astype(str).tolist()
+    if found in (["linear"], ["smooth"]):
+        return "smooth" if found == ["smooth"] else "linear"
     raise AssetError(f"{path}: {EASING} should be 'linear' or 'smooth', is {found}")

@@ -21,7 +21,7 @@ from player.pose import pose_file
 from player.pose.fingers import HandShape, Side, with_finger, with_hand
 from player.pose.history import History, PoseState
 from player.pose.ik import LIMBS, reach_for
-from player.pose.keyframes import Easing, Keys, Pose, clip_of, pose_at, with_key, without_key
+from player.pose.keyframes import Easing, Keys, Pose, clip_of, pose_at, with_key
 from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
 
 Array = np.ndarray
@@ -261,7 +261,8 @@ class PoseSession:
         self.history.change("key", replace(self.state, keys=with_key(self.keys, self.frame, self.pose)))
 
     def delete_key(self, frame: int | None = None) -> None:
-        keys = without_key(self.keys, self.frame if frame is None else frame)
+        frame = self.frame if frame is None else frame
+        keys = tuple(key for key in self.keys if key[0] != frame)
         if len(keys) != len(self.keys):
             self.history.change("delete key", replace(self.state, keys=keys))
 
@@ -304,10 +305,6 @@ class PoseSession:
         self.history.mark_saved()
         self.pinned.clear()
         return timeline.notes
-
-    def load_pose(self, label: str, pose: Pose) -> None:
-        """A pose from the library."""
-        self.put(label, pose.axis_angle, pose.root, limited=False, hold=False)
 
 
 def turned(

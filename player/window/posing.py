@@ -190,7 +190,7 @@ class PoseEdit:
         """A pose of the library."""
         session, ground = self.session, partial(grounded, self.avatar)
         pose = self.library.read(name, root=session.pose.root, pelvis_height=session.pelvis_height, ground=ground)
-        session.load_pose(name, pose)
+        session.put(name, pose.axis_angle, pose.root, limited=False, hold=False)
 
     def keep(self, name: str) -> None:
         """The present pose into the library."""

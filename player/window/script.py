@@ -79,12 +79,12 @@ def _aim(window: "Window", name: str) -> None:
     window.on_pointer(*places[name])
 
 
-def _pressed(button: float) -> list[Step]:
+def _pressed(button: float | int) -> list[Step]:
     """A button of the mouse goes down in one frame and up in another."""
     return [lambda window: window.on_button(int(button), True), lambda window: window.on_button(int(button), False)]
 
 
-def _drag(x0: float, y0: float, x1: float, y1: float, button: float = 0) -> list[Step]:
+def _drag(x0: float, y0: float, x1: float, y1: float, button: float | int = 0) -> list[Step]:
     down, up = _pressed(button)
     out: list[Step] = [lambda window: window.on_pointer(x0, y0), down]
     for k in range(1, DRAG_FRAMES + 1):

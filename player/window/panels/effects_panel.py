@@ -32,17 +32,13 @@ def effects_panel(ui: Widgets, parts: WindowParts) -> None:
             on = ui.checkbox(setting.name, value is not None, f"{setting.means}.", name=setting.name, grey=bool(why))
             imgui.end_disabled()
             ui.note(why or price)
-            chosen = None if on == (value is not None) else _ticked(setting, why) if on else _OFF
+            # a light that would change nothing begins with lamps
+            begins = {"by": "lamps"} if why == NO_LIGHT else {}
+            chosen = None if on == (value is not None) else setting.table(**begins) if on else _OFF
             if on and value is not None:
                 chosen = _changed(ui, setting, value)
         if chosen is not None:
             parts.look.change(effects=replace(effects, **{setting.name: None if chosen is _OFF else chosen}))
-
-
-def _ticked(setting: Setting, why: str) -> Any:
-    """An effect as it begins when it is ticked. A light that would change nothing begins with lamps."""
-    assert setting.table is not None
-    return setting.table(by="lamps") if why == NO_LIGHT else setting.table()
 
 
 def _changed(ui: Widgets, effect: Setting, value: Any) -> Any | None:

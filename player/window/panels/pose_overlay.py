@@ -36,10 +36,6 @@ class OverlayCanvas:
         pixels, depth = project(self.camera, world)
         return pixels / self.units, depth
 
-    def stroke(self, points: Float[np.ndarray, "n 2"], color: int, width: float) -> None:
-        if len(points) > 1:
-            self.draw.add_polyline(_vectors(points), color, width, 0)
-
 
 def pose_overlay(tool: PoseTool, state: WindowState) -> None:
     """All of it, for the avatar that is being posed."""
@@ -48,21 +44,18 @@ def pose_overlay(tool: PoseTool, state: WindowState) -> None:
     paper = OverlayCanvas(state.last.camera, state.layout.screen.pixel(1.0, 1.0))
     places, depth = paper.points(tool.session.world()[:, :3, 3])
     ahead = depth > 1e-3
-    fingers = np.ptp(places[20:52], axis=0).max() > 0 and _hand_size(places) > FEWEST
+    # the larger of the two hands on the screen, wrist to last joint of the middle finger
+    hand = np.linalg.norm(places[[20, 21]] - places[[27, 42]], axis=1).max()
+    fingers = np.ptp(places[20:52], axis=0).max() > 0 and hand > FEWEST
     for joint in range(1, 52 if fingers else 22):
         if ahead[joint] and ahead[PARENTS[joint]]:
-            paper.stroke(places[[PARENTS[joint], joint]], BONE, 1.0)
+            paper.draw.add_polyline(_vectors(places[[PARENTS[joint], joint]]), BONE, 1.0, 0)
     for joint in range(22):
         if ahead[joint]:
             paper.draw.add_circle_filled(imgui.ImVec2(*map(float, places[joint])), 2.5, DOT)
     for handle in HANDLES:
         if ahead[handle.joint]:
             _handle(paper, tool, handle, places[handle.joint])
-
-
-def _hand_size(places: Float[np.ndarray, "52 2"]) -> float:
-    """The larger of the two hands on the screen, wrist to last joint of the middle finger."""
-    return float(max(np.linalg.norm(places[20] - places[27]), np.linalg.norm(places[21] - places[42])))
 
 
 def _handle(paper: OverlayCanvas, tool: PoseTool, handle: PullHandle, place: Float[np.ndarray, "2"]) -> None:
