@@ -36,22 +36,14 @@ SAMPLES = 200_000  # points on the subject's visible surface
 # metres: hair nearer than this, straight out from a template vertex, stands over it
 HAIR_REACH = 0.08
 # stiffness, farthest correspondence (metres), repetitions
-STEPS = (
-    (60.0, 0.08, 6),
-    (40.0, 0.06, 5),
-    (28.0, 0.04, 5),
-    (20.0, 0.04, 8),
-)
+STEPS = ((60.0, 0.08, 6), (40.0, 0.06, 5), (28.0, 0.04, 5), (20.0, 0.04, 8))
 
 # metres: vertices so near the edge of a lid are drawn to nothing farther than LID_LIMIT, or lids fold over each other
 LIDS = 0.006
 LID_LIMIT = 0.004
 
-_LIMBS = [
-    i
-    for i, name in enumerate(JOINTS)
-    if name.split("_")[-1] in ("hip", "knee", "ankle", "foot", "shoulder", "elbow", "wrist")
-]
+LIMB_ENDS = ("hip", "knee", "ankle", "foot", "shoulder", "elbow", "wrist")
+_LIMBS = [i for i, name in enumerate(JOINTS) if name.split("_")[-1] in LIMB_ENDS]
 _LIMBS += list(range(LEFT_HAND.start, RIGHT_HAND.stop))
 
 
@@ -106,9 +98,8 @@ def shape_only(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> Reg
 
 def _closest_body(joints: Float[np.ndarray, "52 3"] | None, surface: "_Surface") -> Body:
     """Of the two free bodies, fitted, the one that comes closer to the surface."""
-    return min((_fit_shape(builtin_body(sex), joints, surface) for sex in ("male", "female")), key=lambda fit: fit[1])[
-        0
-    ]
+    fits = [_fit_shape(builtin_body(sex), joints, surface) for sex in ("male", "female")]
+    return min(fits, key=lambda fit: fit[1])[0]
 
 
 def _eyes(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> Float[np.ndarray, "2 4"] | None:

@@ -35,14 +35,8 @@ def field_distance(inspector: Inspector) -> PageSection | None:
     what = "triangles from the field's surface, mean of each one's farthest of four points"
     inspector.check(what, f"{mean:.3f} mm", f"at most {FIELD_MEAN:g} mm", mean <= FIELD_MEAN)
     image = inspector.draw(FIELD.colors(signed))
-    return PageSection(
-        "field",
-        "Distance to the field",
-        "Of each triangle's centre and corners the one farthest from the field's surface. Red stands outside of it, "
-        "blue inside.",
-        [picture("field", image, f"signed distance, millimetres, largest {np.abs(signed).max():.2f}")],
-        FIELD.legend(),
-    )
+    shown = picture("field", image, f"signed distance, millimetres, largest {np.abs(signed).max():.2f}")
+    return PageSection("field", [shown], FIELD.legend())
 
 
 def truth_distance(inspector: Inspector) -> PageSection | None:
@@ -64,15 +58,7 @@ def truth_distance(inspector: Inspector) -> PageSection | None:
     total = f"{found['total']['p2s_mm'] / 10:.3f} cm"
     inspector.check("distance to the true surface in T-pose (P2S)", total, "as small as can be", None)
     image = inspector.draw(TRUTH.colors(millimetres))
-    return PageSection(
-        "truth",
-        "Distance to the truth",
-        "Each vertex to the nearest point of the subject's own visible surface, both in T-pose. All of the mesh counts "
-        "here, hidden folds too; `selfscan eval` scores what can be seen, over the test poses.",
-        [picture("truth", image, "P2S, millimetres")],
-        TRUTH.legend(),
-        rows,
-    )
+    return PageSection("truth", [picture("truth", image, "P2S, millimetres")], TRUTH.legend(), rows)
 
 
 def provenance(inspector: Inspector) -> list[PageSection]:
@@ -87,12 +73,8 @@ def provenance(inspector: Inspector) -> list[PageSection]:
     inspector.facts["bytes"] = size
     rest = {key: value for key, value in inspector.avatar.provenance.items() if key != "baked"}
     written = [("what", "value"), *flattened(baked)] if baked else []
-    text = "As written into the file; paths are those of its JSON."
-    comes, rows = "Where the avatar comes from.", [("what", "value"), *flattened(rest)]
-    return [
-        PageSection("accuracy", "Measured while baking", text, rows=written),
-        PageSection("provenance", "Provenance", comes, rows=rows),
-    ]
+    comes = [("what", "value"), *flattened(rest)]
+    return [PageSection("accuracy", rows=written), PageSection("provenance", rows=comes)]
 
 
 def from_run(level: Level, run: Path) -> Float[np.ndarray, "faces"]:

@@ -12,14 +12,11 @@ from bench.inspect import surface_sections as surface
 from bench.inspect.face_section import face
 from bench.inspect.inspection import Inspector, KnownDistances
 from bench.inspect.options import InspectCommand
-from bench.inspect.page import PageSection, page
+from bench.inspect.page import SECTIONS, PageSection, page
 from command.errors import missing_package
 from command.progress import plural, progress
 from files.whole import whole_folder
 from player.gl.context import opened
-
-ORDER = ("look", "face", "poses", "turntable", "parts", "weights", "texels", "seams", "cones", "triangles", "field",
-         "truth", "levels", "accuracy", "provenance")  # fmt: skip
 
 
 def inspect(options: InspectCommand) -> Inspector:
@@ -56,7 +53,7 @@ def inspect(options: InspectCommand) -> Inspector:
         for topic in progress(topics, "topics", len(topics)):
             made = topic()
             found |= {s.key: s for s in (made if isinstance(made, list) else [made]) if s is not None}
-        inspector.sections += [found[key] for key in ORDER if key in found]
+        inspector.sections += [found[key] for key in SECTIONS if key in found]
         for picture in (picture for section in inspector.sections for picture in section.pictures):
             (folder / f"{picture.name}.{picture.kind}").write_bytes(picture.data)
         lines = [f"{path.name}, {plural(len(avatar.levels), 'level')}, view dependence: {avatar.default_view}"]

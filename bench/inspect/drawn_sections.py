@@ -32,13 +32,7 @@ def looks(inspector: Inspector) -> PageSection:
         pictures.append(picture(f"look_{mode}", image, f"with view dependence ({mode})"))
         change = np.clip(128 + CHANGE * (image.astype(float) - plain), 0, 255).astype(np.uint8)
         pictures.append(picture("look_change", change, f"what view dependence adds, {CHANGE} times, on grey"))
-    return PageSection(
-        "look",
-        "As drawn",
-        "The finest level in the pose it is stored in. Look for blur, colors of one part on another, a line at neck or "
-        "wrists, fingers grown together.",
-        pictures,
-    )
+    return PageSection("look", pictures)
 
 
 def posed(inspector: Inspector) -> PageSection:
@@ -52,13 +46,7 @@ def posed(inspector: Inspector) -> PageSection:
         image = renderer.draw([(axis_angle, root)], fitted_camera(points, azimuth, (side, side)))[..., :3]
         pictures.append(picture(f"pose_{name.replace(' ', '_')}", image, name, width=380))
     renderer.release()
-    return PageSection(
-        "poses",
-        "Posed",
-        "Linear blend skinning in poses that strain it. Look for collapsed elbows and knees, armpits that pull the "
-        "chest along, fingers that drag each other.",
-        pictures,
-    )
+    return PageSection("poses", pictures)
 
 
 def turntable(inspector: Inspector, frames: int) -> PageSection:
@@ -72,12 +60,8 @@ def turntable(inspector: Inspector, frames: int) -> PageSection:
         camera = camera_at(frame / frames, clip.root[0])
         images.append(renderer.draw([(clip.axis_angle[0], clip.root[0])], camera)[..., :3])
     renderer.release()
-    return PageSection(
-        "turntable",
-        "Turntable",
-        f"The avatar at ease, as its file asks to be drawn (view dependence: {mode}).",
-        [PagePicture("turntable", animation(images, 6.0), "webp", f"{frames} views, 6 seconds")],
-    )
+    shown = PagePicture("turntable", animation(images, 6.0), "webp", f"{frames} views, 6 seconds")
+    return PageSection("turntable", [shown], more=f"View dependence: {mode}.")
 
 
 def levels(inspector: Inspector) -> PageSection:
@@ -92,14 +76,7 @@ def levels(inspector: Inspector) -> PageSection:
         db = "same" if number == 0 else f"{decibels(max(error, 1e-12)):.1f}"
         rows.append((str(number), str(len(level.faces)), f"{level.base_color.shape[1]}", db))
         pictures.append(picture(f"level_{number}", image, f"{len(level.faces)} triangles", width=380))
-    return PageSection(
-        "levels",
-        "Levels of detail",
-        "The same views of each level, in the paper's colors, the background counted.",
-        pictures,
-        None,
-        rows,
-    )
+    return PageSection("levels", pictures, None, rows)
 
 
 def strained_poses(avatar: Avatar) -> dict[str, Pose]:
@@ -113,12 +90,8 @@ def strained_poses(avatar: Avatar) -> dict[str, Pose]:
 
     counting = motion_for(avatar, "counting").read(205, 206)
     walking = motion_for(avatar, "walking").read(12, 13)
-    fists = pose(
-        left_shoulder=(0, -0.9, -0.4),
-        right_shoulder=(0, 0.9, 0.4),
-        left_elbow=(0, -2.0, 0),
-        right_elbow=(0, 2.0, 0),
-    )
+    arms = {"left_shoulder": (0, -0.9, -0.4), "right_shoulder": (0, 0.9, 0.4)}
+    fists = pose(**arms, left_elbow=(0, -2.0, 0), right_elbow=(0, 2.0, 0))
     fists[0][22:37, 2], fists[0][37:52, 2] = -1.2, 1.2
     fists[0][[34, 35, 36, 49, 50, 51]] = 0
     return {

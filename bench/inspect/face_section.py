@@ -56,15 +56,7 @@ def face(inspector: Inspector, capture: Path | None) -> PageSection:
         rows = [("region", f"PSNR inside it, {len(close_ups)} held-out close-ups"),
                 ("head", _text(head)), ("eyes, with 3 mm round them", _text(eyes))]  # fmt: skip
         inspector.check("eye region", _text(eyes), "24 dB or more", None if eyes is None else eyes >= 24)
-    return PageSection(
-        "face",
-        "Face",
-        "The face filling the picture. Look for whites, irises and pupils that can be made out, nostrils that are no "
-        "stripes, a hairline, a collar that is a line.",
-        pictures,
-        None,
-        rows,
-    )
+    return PageSection("face", pictures, None, rows)
 
 
 def beside_truth(context: Context, avatar: Avatar, truth: TrueMesh, views: list[HeldOutView]) -> list[FacePicture]:

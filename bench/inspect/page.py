@@ -52,17 +52,59 @@ class PagePicture:
     width: int | None = None
 
 
+# what stands on the page, in its order: headings, and what to look for
+SECTIONS = {
+    "look": ("As drawn", "The finest level in the pose it is stored in. Look for blur, colors of one part on another, "
+             "a line at neck or wrists, fingers grown together."),
+    "face": ("Face", "The face filling the picture. Look for whites, irises and pupils that can be made out, nostrils "
+             "that are no stripes, a hairline, a collar that is a line."),
+    "poses": ("Posed", "Linear blend skinning in poses that strain it. Look for collapsed elbows and knees, armpits "
+              "that pull the chest along, fingers that drag each other."),
+    "turntable": ("Turntable", "The avatar at ease, as its file asks to be drawn."),
+    "parts": ("Parts", "The part whose joints move a vertex most, with its share of the surface."),
+    "weights": ("Skin weights", "Soft borders run round a limb, never along it; left and right, and neighbouring "
+                "fingers, do not exchange colors."),
+    "texels": ("Texel density", "Side of a texel on the surface. Head and hands should be darker (finer); a bright "
+               "patch is stretched in the atlas."),
+    "seams": ("Chart seams", "Edges where the atlas was cut, colored by the largest difference of color between the "
+              "two sides (of 255). Where it is bright a line may be seen; it should not gather on the face, the neck "
+              "or the wrists. Our player stops at the mips that the atlas' gutters keep apart; other viewers go on to "
+              "coarser ones."),
+    "cones": ("Cones and unseen regions", "How far color may follow the eye: the half-angle of directions that "
+              "training saw, mean of widest and narrowest, times how well the point was seen. Pink was never seen: "
+              "armpits, between fingers, soles. Its color is the field's guess."),
+    "triangles": ("Triangles", "Mean length of a triangle's edges; the close views show the edges. Slivers and sudden "
+                  "changes of size come out as lines in the light."),
+    "field": ("Distance to the field", "Of each triangle's centre and corners the one farthest from the field's "
+              "surface. Red stands outside of it, blue inside."),
+    "truth": ("Distance to the truth", "Each vertex to the nearest point of the subject's own visible surface, both in "
+              "T-pose. All of the mesh counts here, hidden folds too; `selfscan eval` scores what can be seen, over "
+              "the test poses."),
+    "levels": ("Levels of detail", "The same views of each level, in the paper's colors, the background counted."),
+    "accuracy": ("Measured while baking", "As written into the file; paths are those of its JSON."),
+    "provenance": ("Provenance", "Where the avatar comes from."),
+}  # fmt: skip
+
+
 @dataclass
 class PageSection:
-    """A heading, what to look for, pictures with their legend, and a table."""
+    """One of SECTIONS as it is found: pictures with their legend, and a table."""
 
     key: str
-    title: str
-    text: str
     pictures: list[PagePicture] = field(default_factory=list)
     legend: Legend | None = None
     # the first is the head
     rows: list[tuple[str, ...]] = field(default_factory=list)
+    # what is to be said of this avatar beside
+    more: str = ""
+
+    @property
+    def title(self) -> str:
+        return SECTIONS[self.key][0]
+
+    @property
+    def text(self) -> str:
+        return f"{SECTIONS[self.key][1]} {self.more}".rstrip()
 
 
 @dataclass(frozen=True)

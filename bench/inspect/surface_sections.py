@@ -30,13 +30,7 @@ def parts(inspector: Inspector) -> PageSection:
     inspector.facts["area_share_by_part"] = share
     image = inspector.draw(rgb(PART_COLORS)[part])
     named = tuple((color, f"{name} ({share[name]:.0%})") for color, name in zip(PART_COLORS, PARTS, strict=True))
-    return PageSection(
-        "parts",
-        "Parts",
-        "The part whose joints move a vertex most, with its share of the surface.",
-        [picture("parts", image, "parts")],
-        Legend(named=named),
-    )
+    return PageSection("parts", [picture("parts", image, "parts")], Legend(named=named))
 
 
 def weights(inspector: Inspector, joints: Sequence[str]) -> PageSection:
@@ -50,14 +44,8 @@ def weights(inspector: Inspector, joints: Sequence[str]) -> PageSection:
     used = np.unique(skin.heaviest)
     absent = [JOINTS[k] for k in range(52) if k not in used]
     inspector.facts["joints_that_move_nothing_most"] = absent
-    return PageSection(
-        "weights",
-        "Skin weights",
-        "Soft borders run round a limb, never along it; left and right, and neighbouring fingers, do not exchange "
-        "colors." + (f" No vertex is moved most by: {', '.join(absent)}." if absent else ""),
-        pictures,
-        Legend(named=tuple((palette[k], JOINTS[k]) for k in used)),
-    )
+    more = f"No vertex is moved most by: {', '.join(absent)}." if absent else ""
+    return PageSection("weights", pictures, Legend(named=tuple((palette[k], JOINTS[k]) for k in used)), more=more)
 
 
 def texels(inspector: Inspector) -> PageSection:
@@ -71,15 +59,8 @@ def texels(inspector: Inspector) -> PageSection:
     image = inspector.draw(ramp.colors(millimetres))
     rows = [("part", "median side of a texel, mm")]
     rows += [(name, f"{value:.2f}" if value else "none") for name, value in by_part.items()]
-    return PageSection(
-        "texels",
-        "Texel density",
-        "Side of a texel on the surface. Head and hands should be darker (finer); a bright patch is stretched in the "
-        "atlas.",
-        [picture("texels", image, "side of a texel, millimetres"), _atlas(inspector)],
-        ramp.legend((ABSENT, "no texels")),
-        rows,
-    )
+    pictures = [picture("texels", image, "side of a texel, millimetres"), _atlas(inspector)]
+    return PageSection("texels", pictures, ramp.legend((ABSENT, "no texels")), rows)
 
 
 def lengths_ramp(by_part: dict[str, float | None], stops: tuple[str, ...] = SEQUENTIAL) -> Ramp:
@@ -124,16 +105,7 @@ def seams(inspector: Inspector) -> PageSection:
         )
         near = "seen from near (mip 0)" if mip == 0 else f"seen from {2**mip} times as far (mip {mip})"
         pictures.append(picture(f"seams_mip{mip}", image, f"color step of the finest level, {near}"))
-    return PageSection(
-        "seams",
-        "Chart seams",
-        "Edges where the atlas was cut, colored by the largest difference of color between the two sides (of 255). "
-        "Where it is bright a line may be seen; it should not gather on the face, the neck or the wrists. Our player "
-        "stops at the mips that the atlas' gutters keep apart; other viewers go on to coarser ones.",
-        pictures,
-        SEAMS.legend(),
-        rows,
-    )
+    return PageSection("seams", pictures, SEAMS.legend(), rows)
 
 
 def cones(inspector: Inspector) -> PageSection:
@@ -149,18 +121,11 @@ def cones(inspector: Inspector) -> PageSection:
     inspector.check("surface that a camera saw in training", f"{share:.1%}", "the rest keeps the paper's color", None)
     cone = inspector.draw(CONES.colors(np.where(never, np.nan, degrees)))
     sight = inspector.draw(SHARES.colors(np.where(never, np.nan, seen)))
-    return PageSection(
-        "cones",
-        "Cones and unseen regions",
-        "How far color may follow the eye: the half-angle of directions that training saw, mean of widest and "
-        "narrowest, times how well the point was seen. Pink was never seen: armpits, between fingers, soles. Its color "
-        "is the field's guess.",
-        [
-            picture("cones", cone, f"half-angle of the cone, degrees, 0 to {CONES.high:g}"),
-            picture("seen", sight, "how well a point was seen, 0 (dark) to 1 (bright)"),
-        ],
-        CONES.legend((ABSENT, "never seen")),
-    )
+    pictures = [
+        picture("cones", cone, f"half-angle of the cone, degrees, 0 to {CONES.high:g}"),
+        picture("seen", sight, "how well a point was seen, 0 (dark) to 1 (bright)"),
+    ]
+    return PageSection("cones", pictures, CONES.legend((ABSENT, "never seen")))
 
 
 def triangles(inspector: Inspector) -> PageSection:
@@ -184,12 +149,5 @@ def triangles(inspector: Inspector) -> PageSection:
     ramp = lengths_ramp(by_part, PALE)
     image = inspector.draw(ramp.colors(millimetres), wire=True)
     text = ", ".join(f"{name} {value:.1f} mm" for name, value in by_part.items() if value)
-    return PageSection(
-        "triangles",
-        "Triangles",
-        f"Mean length of a triangle's edges (median: {text}); the close views show the edges. Slivers and sudden "
-        "changes of size come out as lines in the light.",
-        [picture("triangles", image, "edge length, millimetres")],
-        ramp.legend(),
-        rows,
-    )
+    pictures = [picture("triangles", image, "edge length, millimetres")]
+    return PageSection("triangles", pictures, ramp.legend(), rows, f"Medians: {text}.")

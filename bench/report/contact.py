@@ -35,7 +35,7 @@ def spread_poses(views: Sequence[HeldOutView], view: str, count: int) -> list[He
     return [those[i] for i in chosen]
 
 
-def contact_sheet(run: Path | None, avatar: Path | None, capture: Path, out: Path, *, pairs: int = 2) -> None:
+def contact_sheet(run: Path | None, avatar: Path | None, capture: Path, out: Path) -> None:
     """Write the sheet of one person: rows of two poses, each truth | field | baked; bodies, face, both hands."""
     sources = {"field": Drawer(run) if run else None, "baked": Drawer(avatar) if avatar else None}
     drawers = {name: drawer for name, drawer in sources.items() if drawer is not None}
@@ -43,7 +43,7 @@ def contact_sheet(run: Path | None, avatar: Path | None, capture: Path, out: Pat
         facts = read_capture_facts(capture)
         views = read_held_out(capture, "novel_pose")
         rows, titles = [], []
-        for kind, count in (("body", 2 * pairs), ("head", 4), ("hand_left", 2), ("hand_right", 2)):
+        for kind, count in (("body", 4), ("head", 4), ("hand_left", 2), ("hand_right", 2)):
             for view in spread_poses(views, kind, count):
                 tiles = [view.image()]
                 tiles += [d.draw(view.axis_angle, view.root, view.camera, SAMPLES).color for d in drawers.values()]
@@ -114,6 +114,7 @@ def save_sheet(out: Path, page: Image.Image) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
+    """The command line."""
     parser = argparse.ArgumentParser(prog="python -m bench.report.contact", description="Contact sheet of a person.")
     parser.add_argument("run", type=Path)
     parser.add_argument("avatar", type=Path)

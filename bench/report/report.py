@@ -60,10 +60,7 @@ def bench(command: BenchCommand) -> Json:
 
     rows, pictures = [one.row for one in measured], {one.row["name"]: one.pictures for one in measured}
     best, baked = rows[0]["name"], rungs[0].name
-    masks = [
-        frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
-        for frame, picture in zip(frames, pictures[best], strict=True)
-    ]
+    masks = [person_mask(*pair) for pair in zip(frames, pictures[best], strict=True)]
     crops = [crop_of(mask) for mask in masks]
     parts = [part_boxes(avatar, *frame.pose, frame.camera) for frame in frames]
     references: dict[str | None, Pictures] = {None: pictures[best]}
@@ -80,7 +77,7 @@ def bench(command: BenchCommand) -> Json:
         **quiet.facts(context),
         "avatar": avatar.name,
         "frames": len(frames),
-        "size": list(frames[0].camera.size),
+        "size": list(full),
         "rounds": rounds,
         "best_rung": best,
         "best_baked_rung": baked,
@@ -96,6 +93,13 @@ def bench(command: BenchCommand) -> Json:
         plot(result, folder / "pareto.png")
         save_sheet(folder / "rungs.png", rung_sheet(result, pictures, crops, truths))
     return result
+
+
+def person_mask(
+    frame: ComparedFrame, picture: Float[np.ndarray, "height width 3"]
+) -> Bool[np.ndarray, "height width"]:
+    """Where the person is: as the truth says, else where anything was drawn."""
+    return frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
 
 
 class MeasuredRung(NamedTuple):

@@ -61,13 +61,11 @@ class Point(NamedTuple):
 
 
 def markdown(result: Json) -> str:
+    """The page in words: how it was measured, the table of rungs, what time buys."""
     m = result["machine"]
     width, height = result["size"]
-    columns = {
-        "against_baked": f"FLIP, PSNR against {result['best_baked_rung']}",
-        "against_truth": "FLIP, PSNR against truth",
-    }
-    columns = {key: name for key, name in columns.items() if any(key in row for row in result["rungs"])}
+    names = {"against_baked": result["best_baked_rung"], "against_truth": "truth"}
+    columns = {key: f"FLIP, PSNR against {name}" for key, name in names.items() if key in result["rungs"][-1]}
     lines = [
         f"# Accuracy against time: {result['avatar']}",
         "",

@@ -128,7 +128,7 @@ def refusal(encoder: Encoder, size: tuple[int, int]) -> str | None:
             packets += context.encode(frame)
         packets += context.encode(None)
     except (FFmpegError, ValueError, OSError) as error:
-        return str(getattr(error, "strerror", None) or error)
+        return str((error.strerror if isinstance(error, OSError | FFmpegError) else None) or error)
     return None if sum(packet.size for packet in packets) > 0 else "it encodes nothing"
 
 

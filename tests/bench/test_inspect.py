@@ -184,9 +184,8 @@ def test_distance_to_the_truth_is_measured_in_t_pose(tmp_path):
 
 
 def test_a_page_holds_everything_and_escapes_what_is_not_its_own():
-    section = PageSection(
-        "look", "Looks", "a < b", [PagePicture("one", b"\x89PNG", "png", 'says "hi"')], None, [("x",), ("<i>",)]
-    )
+    shown = PagePicture("one", b"\x89PNG", "png", 'says "hi"')
+    section = PageSection("look", [shown], None, [("x",), ("<i>",)], "a < b")
     text = page(
         "<b>Eve</b>", ["from a & b"], [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)], [section]
     )
