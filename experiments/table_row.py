@@ -183,7 +183,7 @@ def measured_row(
         return {"novel_pose": regions_of({}, images.scored), "geometry": "as ours"}
     surfaces = JudgedSurfaces(seen_case(drawer, truth, drawer.surface))
     distances = measure_poses(surfaces, same_poses([view for view in views if not is_t_pose(view)]), "surfaces")
-    return {"novel_pose": regions_of(distances.ours, images.scored)}
+    return {"novel_pose": regions_of(distances["ours"], images.scored)}
 
 
 def main(argv: list[str] | None = None) -> int:

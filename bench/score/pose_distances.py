@@ -6,7 +6,7 @@ where the body's view has it; aligned, each region by itself.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from bench.field.posed_field import PosableSurface
@@ -37,16 +37,8 @@ class Placement(NamedTuple):
     ours: dict[tuple[str, ...], HeldOutView]
 
 
-@dataclass
-class SetDistances:
-    """What was measured over a set of poses."""
-
-    ours: Distances = field(default_factory=nothing)
-    aligned: Distances = field(default_factory=nothing)
-    # under the rig's own weights
-    own: Distances = field(default_factory=nothing)
-    template: Distances = field(default_factory=nothing)
-    template_aligned: Distances = field(default_factory=nothing)
+# what was measured over a set of poses, by the name of its row
+Rows = dict[str, Distances]
 
 
 def same_poses(views: Sequence[HeldOutView]) -> list[Placement]:
@@ -85,27 +77,30 @@ class JudgedSurfaces:
         return self.case.truth
 
 
-def measure_poses(
-    what: JudgedSurfaces, placements: list[Placement], label: str, *, beside: bool = False
-) -> SetDistances:
-    """Every distance of a set; `beside`: also what stands beside the main rows."""
-    out, case, template = SetDistances(), what.case, what.template
+def measure_poses(what: JudgedSurfaces, placements: list[Placement], label: str, *, beside: bool = False) -> Rows:
+    """Every distance of a set: the row "ours"; with `beside` also "aligned", and where they are at hand "own_weights",
+    under the rig's own weights, "zero_steps", of the template, and "zero_steps_aligned"."""
+    out: Rows = {"ours": nothing(), **({"aligned": nothing()} if beside else {})}
+    out |= {"own_weights": nothing()} if beside and what.own is not None else {}
+    out |= {"zero_steps": nothing(), "zero_steps_aligned": nothing()} if beside and what.template is not None else {}
+    case, template = what.case, what.template
     for placement in progress(placements, label):
         truth = what.truth.posed(placement.truth.axis_angle, placement.truth.root)
         index = triangle_index(truth, case.truth_faces)
         for regions, ours in placement.ours.items():
             pose = ours.axis_angle, ours.root
             pair = posed_pair(case, truth, case.surface.posed(*pose), index)
-            measure_pose(case, pair, out.ours, regions)
+            measure_pose(case, pair, out["ours"], regions)
             if not beside:
                 continue
-            _measure_aligned(what, case, pair, regions, out.aligned)
+            _measure_aligned(what, case, pair, regions, out["aligned"])
             if what.own is not None:
-                measure_pose(case, posed_pair(case, truth, what.own.posed(*pose), index), out.own, every=BESIDE)
+                own = posed_pair(case, truth, what.own.posed(*pose), index)
+                measure_pose(case, own, out["own_weights"], every=BESIDE)
             if template is not None:
                 bare = posed_pair(template, truth, template.surface.posed(*pose), index)
-                measure_pose(template, bare, out.template, regions, every=BESIDE)
-                _measure_aligned(what, template, bare, regions, out.template_aligned)
+                measure_pose(template, bare, out["zero_steps"], regions, every=BESIDE)
+                _measure_aligned(what, template, bare, regions, out["zero_steps_aligned"])
     return out
 
 

@@ -35,7 +35,7 @@ from bench.score.pose_distances import (
     BESIDE,
     JudgedSurfaces,
     Placement,
-    SetDistances,
+    Rows,
     fitted_poses,
     measure_poses,
     same_poses,
@@ -277,7 +277,7 @@ def held_out_rows(what: Evaluated, surfaces: JudgedSurfaces, name: str) -> tuple
     placements = same_poses(moving) if what.ours is None else fitted_poses(moving, own_moving)
     print_stage(f"{text}: {len(placements)} posed surfaces")
     distances = measure_poses(surfaces, placements, f"{name} surfaces", beside=novel)
-    rows: Json = {name: {"eyes": without_eyes(NO_EYES)} | regions_of(distances.ours, images.scored)}
+    rows: Json = {name: {"eyes": without_eyes(NO_EYES)} | regions_of(distances["ours"], images.scored)}
     if not novel:
         return rows, {}
     beside = beside_novel_poses(what, surfaces, distances, placements, own_moving)
@@ -287,22 +287,21 @@ def held_out_rows(what: Evaluated, surfaces: JudgedSurfaces, name: str) -> tuple
 
 
 def beside_novel_poses(
-    what: Evaluated,
-    surfaces: JudgedSurfaces,
-    distances: SetDistances,
-    placements: list[Placement],
-    poses: list[HeldOutView],
+    what: Evaluated, surfaces: JudgedSurfaces, distances: Rows, placements: list[Placement], poses: list[HeldOutView]
 ) -> Json:
     """Novel poses after alignment, of the template before training and under the rig's weights; joints of fitted poses;
     hair in the `poses` in which ours was drawn."""
     truth, surface = what.truth, what.drawer.surface
     out: Json = {
-        "aligned": regions_of(distances.aligned),
-        **zero_steps(surfaces, distances),
-        "own_weights": None if surfaces.own is None else regions_of(distances.own),
+        "zero_steps": None,
+        "own_weights": None,
+        **{name: regions_of(found) for name, found in distances.items() if name != "ours"},
+        "zero_steps_reason": "a template has no colors before training: no pictures",
         "poses": len(placements),
         "stretched_at_hair": stretched_at_hair(truth, surface, poses),
     }
+    if surfaces.template is None:
+        out["zero_steps_reason"] = "the avatar file holds no template; give --run"
     if what.ours is not None and what.template is not None:
         seen = [(p.truth, own) for p in placements for part, own in p.ours.items() if "total" in part]
         ours, true = [own for _, own in seen], [view for view, _ in seen]
@@ -320,14 +319,7 @@ def in_filmed_poses(what: JudgedSurfaces, videos: FilmedPoses, joints: np.ndarra
     placements = videos.some().placements()
     print_stage(f"the person's own videos: {len(placements)} posed surfaces")
     distances = measure_poses(what, placements, "filmed surfaces", beside=True)
-    rows = {
-        "filmed": distances.ours,
-        "filmed_aligned": distances.aligned,
-        "filmed_zero_steps": distances.template,
-        "filmed_zero_steps_aligned": distances.template_aligned,
-    }
-    if what.template is None:
-        rows = {name: row for name, row in rows.items() if "zero_steps" not in name}
+    rows = {"filmed" if name == "ours" else f"filmed_{name}": found for name, found in distances.items()}
     return {
         **{name: regions_of(row) for name, row in rows.items()},
         **in_filmed_skeletons(videos, joints, what.truth.joints),
@@ -353,17 +345,6 @@ def in_filmed_skeletons(videos: FilmedPoses, joints: np.ndarray, true_joints: np
     return out
 
 
-def zero_steps(what: JudgedSurfaces, distances: SetDistances) -> Json:
-    """The row of the template before training: it has a surface and no colors."""
-    if what.template is None:
-        return {"zero_steps": None, "zero_steps_reason": "the avatar file holds no template; give --run"}
-    return {
-        "zero_steps": regions_of(distances.template),
-        "zero_steps_aligned": regions_of(distances.template_aligned),
-        "zero_steps_reason": "a template has no colors before training: no pictures",
-    }
-
-
 def measured_ceiling(what: Evaluated, capture: Path, facts: Json) -> Json:
     """Novel poses of the true mesh under our weights: pictures and distances."""
     truth, views = what.truth, what.filmed["novel_pose"]
@@ -372,7 +353,7 @@ def measured_ceiling(what: Evaluated, capture: Path, facts: Json) -> Json:
     images = score_images(what.judge._replace(draw=best.draw), views, "ceiling pictures", t_pose_apart=True)
     surfaces = JudgedSurfaces(geometry_case(truth, best.surface, truth.visible))
     placements = same_poses([view for view in views if not is_t_pose(view)])
-    return regions_of(measure_poses(surfaces, placements, "ceiling surfaces").ours, images.scored)
+    return regions_of(measure_poses(surfaces, placements, "ceiling surfaces")["ours"], images.scored)
 
 
 def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[HeldOutView]) -> dict[str, int] | None:
