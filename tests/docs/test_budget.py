@@ -15,10 +15,10 @@ BUDGET = {
     "capture": 11_925,
     "train": 5_801,
     "bake": 4_360,
-    "player": 19_042,
+    "player": 18_910,
     "shaders": 1_036,
-    "synth": 2_846,
-    "bench": 6_125,
+    "synth": 2_820,
+    "bench": 5_910,
     "selfscan": 398,
     "tests": 36_350,
 }
