@@ -204,15 +204,11 @@ def _turn_to(to_camera, along, up) -> Float[np.ndarray, "3 3"]:
 
 def _shoulder_for(forearm: Float[np.ndarray, "3 3"], sign: float) -> Float[np.ndarray, "3 3"]:
     """A shoulder that holds the upper arm out to the side, twisted so that the elbow turns as little as it can."""
-    lowered = rotation(y=-sign * 15) @ rotation(z=-sign * 20)
-    best, least = lowered, np.inf
-    for twist in range(-90, 91, 5):
-        candidate = lowered @ rotation(x=float(twist))
-        elbow = np.linalg.norm(axis_angle_from_matrix(candidate.T @ forearm))
-        cost = elbow + 0.4 * abs(np.radians(twist))
-        if cost < least:
-            best, least = candidate, cost
-    return best
+    twist = np.radians(np.arange(-90.0, 91.0, 5.0))
+    twisted = matrix_from_axis_angle(twist[:, None] * [1.0, 0, 0])
+    candidates = rotation(y=-sign * 15) @ rotation(z=-sign * 20) @ twisted
+    elbow = np.linalg.norm(axis_angle_from_matrix(candidates.swapaxes(1, 2) @ forearm), axis=1)
+    return candidates[np.argmin(elbow + 0.4 * np.abs(twist))]
 
 
 def write_frames(

@@ -10,7 +10,9 @@ couples texels of two charts it is that of the rest with the agreement itself, f
 sides moved together twenty times too slowly, and stayed behind as lines where the field's color is far off.
 """
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +26,8 @@ from geometry.least_squares import factorised
 ROUNDS = 12
 # beyond the range, of its width: pixels are means, and print is a little stronger than they show it
 MARGIN = 0.1
+# rows of a matrix that one core multiplies at a time
+BLOCK = 1 << 18
 # cells along an axis, of millimetres: more than a person has
 CELLS = 1 << 20
 
@@ -84,13 +88,38 @@ def solve_change(
     residual = np.zeros((count, equations[0].wanted.shape[1]), np.float32)
     for own in equations:
         residual += own.matrix.T @ own.wanted
+    blocks = [block for own in equations for block in row_blocks(own.matrix, count)]
+    with ThreadPoolExecutor(os.cpu_count()) as cores:
 
-    def apply(x: Array) -> Array:
-        result = regular @ x
-        for own in equations:
-            result += own.matrix.T @ (own.matrix @ x)
-        return result
+        def apply(x: Array) -> Array:
+            result = regular @ x
+            for part in cores.map(lambda block: block.T @ (block @ x), blocks):
+                result += part
+            return result
 
+        return conjugate_gradients(apply, precondition, residual, rounds, report)
+
+
+def row_blocks(matrix: csr_matrix, columns: int) -> list[csr_matrix]:
+    """The matrix in pieces of at most BLOCK rows, which share its memory."""
+    edges = np.r_[np.arange(0, len(matrix.indptr) - 1, BLOCK), len(matrix.indptr) - 1]
+    pieces = []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        own = slice(matrix.indptr[low], matrix.indptr[high])
+        pointers = matrix.indptr[low : high + 1] - matrix.indptr[low]
+        parts = matrix.data[own], matrix.indices[own], pointers
+        pieces.append(csr_matrix(parts, (high - low, columns), copy=False))
+    return pieces
+
+
+def conjugate_gradients(
+    apply: Callable[[Array], Array],
+    precondition: Callable[[Array], Array],
+    residual: Float[Array, "texels channels"],
+    rounds: int,
+    report: Callable[[int, float], None],
+) -> Float[Array, "texels channels"]:
+    """Some rounds from zero towards apply(change) = residual, which is used up."""
     change = np.zeros_like(residual)
     scaled = precondition(residual)
     ahead, energy = scaled.copy(), (residual * scaled).sum(0)

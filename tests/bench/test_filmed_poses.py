@@ -120,6 +120,7 @@ def test_a_perfect_avatar_in_exact_poses_has_no_distance_and_hands_are_those_of_
     }
 
 
+@pytest.mark.slow
 def test_a_person_too_far_from_the_camera_is_off_in_place_and_not_aligned(imported, measuring):
     run, facts, scan = imported
     for path in (run.parent / "capture").glob("*/cameras.npz"):

@@ -57,13 +57,14 @@ def real_poses(count: int, data) -> tuple[np.ndarray, np.ndarray]:
     return poses[chosen], roots[chosen]
 
 
-def test_posed_to_canonical_to_posed_returns_or_flags(person, cloud, data, within):
-    """1000 real poses; the weights come from the nearest sample on each side, looked up afresh."""
+@pytest.mark.parametrize("count", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_posed_to_canonical_to_posed_returns_or_flags(person, cloud, data, within, count):
+    """Poses of people; the weights come from the nearest sample on each side, looked up afresh."""
     regions = {name: (np.flatnonzero(cloud.part == part), *rest) for name, (part, *rest) in REGIONS.items()}
     rng = np.random.default_rng(0)
     tried, flagged = dict.fromkeys(regions, 0), dict.fromkeys(regions, 0)
     worst = worst_unsettled = 0.0
-    for pose, root in zip(*real_poses(1000, data), strict=True):
+    for pose, root in zip(*real_poses(count, data), strict=True):
         B = skin_transforms(pose, person.joints, root)
         inverse, invertible = inverse_transforms(cloud.skin, B)
         tree = KDTree(skin_points(cloud.points, cloud.skin, B), balanced_tree=False, compact_nodes=False)

@@ -228,6 +228,7 @@ def untrained(capture):
     return FusedField(fields, parts, torch.eye(4)).eval().requires_grad_(False), rays
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [1, 2, 3])
 def test_overlap_rays_hit_the_surface_from_outside_in_the_overlap_in_many_frames(untrained, index):
     fused, rays = untrained
@@ -239,6 +240,7 @@ def test_overlap_rays_hit_the_surface_from_outside_in_the_overlap_in_many_frames
     torch.testing.assert_close(directions.norm(dim=1), torch.ones(len(points)))
 
 
+@pytest.mark.slow
 def test_stage_2_interrupted_and_resumed_equals_stage_2_never_stopped(capture, untrained, tmp_path, one_thread):
     fused, rays = untrained
     preset = replace(TINY, union=replace(TINY.union, iterations=20))
@@ -260,6 +262,7 @@ def test_stage_2_interrupted_and_resumed_equals_stage_2_never_stopped(capture, u
     assert moved and all(name.startswith("fields.0.") for name in moved)
 
 
+@pytest.mark.slow
 def test_overlap_surfaces_lie_on_each_part_in_its_overlap(capture, untrained):
     fused, _ = untrained
     for index, points in enumerate(overlap_surface(fused, capture.subject), start=1):

@@ -126,6 +126,7 @@ def test_bad_videos_stop_before_anything_is_fitted(filmed_four, tmp_path):
     assert not list(tmp_path.glob("capture*"))
 
 
+@pytest.mark.slow
 def test_masks_of_another_tool_are_taken_as_they_are(filmed_four, tmp_path):
     masks = tmp_path / "masks"
     for part in PARTS:

@@ -120,6 +120,7 @@ def test_what_cloth_hides_is_marked_and_what_is_seen_is_not(subject, dressed):
     assert (own == ~outside)[hangs].mean() > 0.95
 
 
+@pytest.mark.slow
 def test_behind_cloth_the_surface_is_the_templates_whatever_a_field_says(subject, dressed):
     """Just off the cloth's inside it is air, just in the cloth it is not; outside the field has the word."""
     count = len(subject.rest)
