@@ -28,6 +28,7 @@ from player.draw.posing import PosedBones, Poser
 from player.gl.constants import avatar_constants
 from player.gl.context import Context, opened
 from player.gl.shader import uniform
+from player.gl.texture import image_texture
 from player.scene.renderer import Pose, Renderer
 
 SHIPPED = "as shipped"
@@ -143,7 +144,9 @@ class HalfPoser(Poser):
 def with_float_features(drawn: Callable[[Avatar], Renderer], avatar: Avatar, dtype: str) -> Renderer:
     """The player's own renderer, whose features are the same numbers in textures of floats."""
 
-    def float_texture(context: Context, image: UInt8[np.ndarray, "h w c"], *, coarse: bool) -> moderngl.Texture:
+    def float_texture(context: Context, image: UInt8[np.ndarray, "h w c"], *, coarse: bool = False) -> moderngl.Texture:
+        if not coarse:  # no feature
+            return image_texture(context, image)
         chain = [mip.astype(np.float32) / np.float32(255) for mip in mipmaps(image, mip_levels(image.shape))]
         height, width, channels = image.shape
         texture = context.gl.texture((width, height), channels, chain[0].astype(dtype).tobytes(), dtype=dtype)

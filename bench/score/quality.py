@@ -30,6 +30,7 @@ from bench.score.filmed_poses import FilmedPoses, filmed_poses
 from bench.score.fitted_poses import fitted_views
 from bench.score.lpips import read_perceptual
 from bench.score.metrics import Perceive
+from bench.score.outlines import SIDES, outline_scores
 from bench.score.picture_scores import NO_EYES, PictureJudge, is_t_pose, score_images
 from bench.score.pose_distances import (
     BESIDE,
@@ -43,6 +44,7 @@ from bench.score.pose_distances import (
 from bench.score.posed_geometry import (
     Distances,
     GeometryCase,
+    PosedPair,
     alignment,
     geometry_case,
     measure_pose,
@@ -51,7 +53,7 @@ from bench.score.posed_geometry import (
     posed_pair,
 )
 from bench.score.quality_table import PAPER
-from bench.score.region_scores import regions_of, without_eyes
+from bench.score.region_scores import regions_of, with_outlines, without_eyes
 from bench.score.skeleton_distance import BODY, HANDS, LIMBS, joints_off, posed_skeletons, turned_off
 from bench.score.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import CaptureSubject, input_kind, read_subject
@@ -59,6 +61,7 @@ from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts
 from command.errors import AssetError
 from command.progress import plural
 from files.input_file import read_json_object
+from player.draw.raster import Rasteriser
 from player.gl.context import open_context
 from synth.visibility import visible_faces
 from train.run import read_run
@@ -238,11 +241,10 @@ def measured(what: Evaluated) -> Json:
     """The table of one evaluation, row by row, each with its regions and their metrics: the held-out sets, and what
     stands beside them."""
     surfaces = judged_surfaces(what)
-    root = what.truth.joints[0]
     out: Json = {}
     beside: Json = {
-        "t_pose": regions_of(measure_once(surfaces, np.zeros((52, 3)), root)),
-        "canonical": regions_of(measure_once(surfaces, BIG_POSE, root)),
+        **standing_rows(surfaces, what.drawer.raster),
+        "canonical": regions_of(measure_once(surfaces.case, BIG_POSE, surfaces.apart)[0]),
     }
     for name in what.filmed:
         rows, more = held_out_rows(what, surfaces, name)
@@ -366,13 +368,28 @@ def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[Held
     return {"edges": len(edges), "stretched": stretched_edges(edges, surface.vertices, posed)}
 
 
-def measure_once(what: JudgedSurfaces, axis_angle: np.ndarray, root: np.ndarray) -> Distances:
-    """One pose of both; an estimated skeleton, whose pelvis is elsewhere, after rigid ICP."""
-    into, case = nothing(), what.case
+def standing_rows(what: JudgedSurfaces, raster: Rasteriser) -> Json:
+    """The T-pose: distances, and outlines from eight sides, of ours and of the template before training."""
+    rows: Json = {}
+    for name, case in (("t_pose", what.case), ("t_pose_zero_steps", what.template)):
+        if case is None:
+            continue
+        print_stage(f"{name.replace('_', ' ')}: distances, and outlines from {SIDES} sides")
+        distances, pair, T = measure_once(case, np.zeros((52, 3)), what.apart)
+        rows[name] = with_outlines(regions_of(distances), outline_scores(raster, case, pair, T))
+    return rows
+
+
+def measure_once(
+    case: GeometryCase, axis_angle: np.ndarray, apart: bool
+) -> tuple[Distances, PosedPair, np.ndarray | None]:
+    """One pose of both: distances, the two posed, and truth_from_surface by rigid ICP where the skeleton was estimated:
+    its pelvis is elsewhere."""
+    into, root = nothing(), case.truth.joints[0]
     pair = posed_pair(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root))
-    T = alignment(case, pair) if what.apart else None
+    T = alignment(case, pair) if apart else None
     measure_pose(case, pair, into, every=BESIDE, truth_from_surface=T)
-    return into
+    return into, pair, T
 
 
 def baked_vs_field_of(drawer: Drawer) -> Json:

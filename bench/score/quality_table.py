@@ -48,6 +48,7 @@ def table_rows(result: Json) -> list[list[str]]:
         "filmed_zero_steps": "own videos, 0 steps",
         "filmed_zero_steps_aligned": "own videos, 0 steps, ICP-aligned",
         "t_pose": "T-pose",
+        "t_pose_zero_steps": "T-pose, 0 steps",
         "canonical": "canonical",
     }
     for name, label in labels.items():

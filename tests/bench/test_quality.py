@@ -45,6 +45,12 @@ def test_t_pose_frames_are_apart_from_novel_poses_but_are_the_novel_views(result
     assert result["novel_view"]["total"]["psnr_db"] > 30
 
 
+def test_a_perfect_avatar_has_the_true_outlines_from_every_side(result):
+    for region in ("head", "hands", "total"):
+        scores = result["beside"]["t_pose"][region]
+        assert 0.97 < scores["outline_worst"] <= scores["outline_iou"]
+
+
 def test_own_rig_weights_leave_a_perfect_avatar_where_it_is(result):
     assert result["beside"]["own_weights"]["total"]["chamfer_cm"] < 0.03
 

@@ -1,0 +1,55 @@
+"""Outlines of the standing person from eight sides, ours beside the true ones: a bag over a head or a hem that is
+missing shows here, whatever a mean distance forgives.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.camera import Camera, orbit_camera
+from bench.score.picture_scores import REGION_PART
+from bench.score.posed_geometry import GeometryCase, PosedPair
+from player.draw.raster import Rasteriser
+
+SIDES = 8
+SIZE = (192, 192)
+FOV = 0.61  # radians
+
+
+class OutlineScore(NamedTuple):
+    """Intersection over union of the true outline and ours, [0, 1]."""
+
+    mean: float
+    worst: float
+
+
+def outline_scores(
+    raster: Rasteriser, case: GeometryCase, pair: PosedPair, truth_from_surface: Float[np.ndarray, "4 4"] | None = None
+) -> dict[str, OutlineScore]:
+    """Scores of the whole person and, within pictures that their true surface fills, of head and hands."""
+    ours = pair.surface
+    if truth_from_surface is not None:
+        ours = ours @ truth_from_surface[:3, :3].T + truth_from_surface[:3, 3]
+    part, faces = case.truth.part[case.truth_faces[:, 0]], case.truth_faces
+    regions = {"total": faces} | {region: faces[part == number] for region, number in REGION_PART.items()}
+    scores = {}
+    for region, own in regions.items():
+        if not len(own):
+            continue
+        # the whole of both is in the picture
+        framed = np.concatenate([pair.truth, ours]) if region == "total" else pair.truth[own].reshape(-1, 3)
+        ratios = []
+        for side in range(SIDES):
+            camera = framing(framed, 2 * np.pi * side / SIDES)
+            true, drawn = (raster.draw(*mesh, camera).face >= 0 for mesh in ((pair.truth, faces), (ours, case.faces)))
+            ratios.append((true & drawn).sum() / max((true | drawn).sum(), 1))
+        scores[region] = OutlineScore(float(np.mean(ratios)), float(np.min(ratios)))
+    return scores
+
+
+def framing(points: Float[np.ndarray, "n 3"], azimuth: float) -> Camera:
+    """A camera at the height of the points' middle whose picture they fill, a tenth wider at each side."""
+    middle = 0.5 * (points.min(0) + points.max(0))
+    radius = float(np.linalg.norm(points - middle, axis=1).max())
+    return orbit_camera(middle, 1.1 * radius / np.tan(FOV / 2), azimuth, 0.0, SIZE, FOV)
