@@ -14,13 +14,13 @@ BUDGET = {
     "geometry": 1_734,
     "capture": 11_925,
     "train": 5_801,
-    "bake": 4_360,
-    "player": 18_910,
+    "bake": 4_389,
+    "player": 18_909,
     "shaders": 1_036,
-    "synth": 2_820,
-    "bench": 5_910,
-    "selfscan": 398,
-    "tests": 36_398,
+    "synth": 2_813,
+    "bench": 5_995,
+    "selfscan": 393,
+    "tests": 36_406,
 }
 
 
