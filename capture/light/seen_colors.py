@@ -6,7 +6,7 @@ over the pixels i that show a triangle of v, with w_i the squared cosine between
 decides where it shows a vertex, else the body's. Unseen vertices are filled from their neighbours.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,13 +23,18 @@ from geometry.harmonic import anchored, fill_harmonic
 PIXELS = 300_000
 
 
-def seen_colors(capture: Capture, lights: Mapping[str, CaptureLight], seed: int = 0) -> Float[Array, "vertices 3"]:
-    """sRGB in [0, 1] of the template's vertices; albedo where `lights`, by the part of each video, are given."""
+def seen_colors(
+    capture: Capture, lights: Mapping[str, CaptureLight], seed: int = 0, parts: Collection[str] = PARTS
+) -> Float[Array, "vertices 3"]:
+    """sRGB in [0, 1] of the template's vertices, by the videos of `parts`; albedo where `lights`, by the part of each
+    video, are given."""
     subject, frame = capture.subject, light_frame(capture)
     colors = np.full((len(subject.vertices), 3), 0.5)
     known = np.zeros(len(colors), bool)
     rng = np.random.default_rng([seed, 37])
     for index, part in enumerate(PARTS):
+        if part not in parts:
+            continue
         own = (subject.part[subject.faces] == index).any(1) | (part == "body")
         pixels = video_pixels(capture, part, own, frame, PIXELS, rng)
         found, shown = _of_vertices(pixels, _albedo(pixels, lights.get(part)), subject.faces, len(colors))

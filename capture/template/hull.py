@@ -15,11 +15,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy import ndimage
+from scipy.spatial import KDTree
 
 from avatar.camera import Camera, project
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from capture.folder import Capture, CaptureSubject, PartVideo
+from capture.light.seen_colors import seen_colors
 from capture.template.grid import DistanceGrid, distance_grid
 from capture.template.hollows import ColorView, carve_hollows, color_views
 from capture.template.surface import surface_cloud, visible_faces
@@ -44,6 +46,11 @@ LEAST = 1e-4
 BROW = 0.65
 # metres: half of a face's width, and how far under the head's lowest skin its throat goes; no hair hangs before either
 FACE, THROAT = 0.06, 0.06
+# metres over the head's lowest skin that what was carved is surely hair, and half of the neckline's width
+CHIN, NECKLINE = 0.08, 0.3
+# of 1, a color that no hair has; colors of either kind to which one is compared
+UNLIKE, ALIKE = 0.06, 8
+ROUNDS = 2
 # levels under the neck over which hair hangs one cell farther out
 STEEP = 3
 # metres beside what stands off, over which its edge sinks to the skin
@@ -236,13 +243,57 @@ def with_hair(
     hair = carve(views, template, scalp, pictures, ESTIMATED if estimated else GIVEN)
     if hair is None:
         return subject
-    vertices, faces = hair_mesh(hair)
-    # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
-    under = template.at(vertices[faces].mean(1))
-    faces = faces[under > -0.003]
-    covered = hair.at(held.vertices[subject.faces].mean(1)) > 0.75
-    out = joined(subject, subject.faces[~covered], vertices, faces, scalp.neck)
-    return replace(out, under_hair=subject.faces[covered]) if layers else out
+
+    def wearing(hair: Hair) -> CaptureSubject:
+        vertices, faces = hair_mesh(hair)
+        # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
+        under = template.at(vertices[faces].mean(1))
+        faces = faces[under > -0.003]
+        covered = hair.at(held.vertices[subject.faces].mean(1)) > 0.75
+        out = joined(subject, subject.faces[~covered], vertices, faces, scalp.neck)
+        return replace(out, under_hair=subject.faces[covered]) if layers else out
+
+    worn = wearing(hair)
+    # what one piece hid is judged once it is gone
+    for _ in range(ROUNDS if estimated else 0):
+        colors = seen_colors(replace(capture, subject=worn), {}, parts=("body", "head"))
+        hair = of_one_color(hair, worn, colors, scalp)
+        if hair is None:
+            return subject
+        worn = wearing(hair)
+    return worn
+
+
+def of_one_color(hair: Hair, wearing: CaptureSubject, colors: Float[Array, "vertices 3"], scalp: Scalp) -> Hair | None:
+    """The hair without what hangs under the chin and has rather the color of skin and clothes: where shoulders are not
+    where the template has them, a hull holds them. `colors`: of the subject who wears the hair; None: nothing is left.
+    """
+    assert wearing.carved is not None
+    place, chin = wearing.vertices, scalp.neck + CHIN
+    carved = np.arange(len(place)) >= wearing.carved[0]
+    grown = (wearing.part == PARTS.index("head")) & (place[:, 1] > scalp.brow) & (place[:, 2] < scalp.middle[1])
+    sure = np.where(carved, place[:, 1] > chin, grown)
+    beside = ~carved & ~wearing.hair & (place[:, 1] < scalp.brow) & (place[:, 1] > scalp.neck - AROUND[1])
+    beside &= np.abs(place[:, 0] - scalp.middle[0]) < NECKLINE
+    if min(sure.sum(), beside.sum()) < ALIKE or not carved.any():
+        return hair
+    from_hair, from_others = (KDTree(colors[some]).query(colors[carved], ALIKE)[0].mean(1) for some in (sure, beside))
+    other = (from_hair > UNLIKE) & (from_hair > 1.5 * from_others)
+    full = hair.share > 0.5
+    cells = np.argwhere(full)
+    centers = hair.low + hair.cell * cells
+    unlike = np.zeros(full.shape, bool)
+    unlike[tuple(cells.T)] = other[KDTree(place[carved]).query(centers)[1]] & (centers[:, 1] < chin)
+    # a lock of another color is hair, and so is no strip between two that are not
+    unlike = np.asarray(ndimage.binary_closing(np.pad(unlike, 3, mode="edge"), iterations=3), bool)
+    thick = ndimage.binary_erosion(unlike, iterations=2, border_value=1)
+    full &= ~np.asarray(ndimage.binary_propagation(thick, mask=unlike), bool)[3:-3, 3:-3, 3:-3]
+    label = pieces(full)
+    for piece in range(1, int(label.max()) + 1):
+        own = label == piece
+        if own.sum() * hair.cell**3 < LEAST:
+            full &= ~own
+    return hair._replace(share=ndimage.gaussian_filter(full.astype(np.float64), 0.8)) if full.any() else None
 
 
 def under_held_head(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:

@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_109,
     "avatar": 8_538,
     "geometry": 1_734,
-    "capture": 11_925,
+    "capture": 11_981,
     "train": 5_801,
     "bake": 4_389,
     "player": 18_909,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_813,
     "bench": 5_995,
     "selfscan": 393,
-    "tests": 36_406,
+    "tests": 36_445,
 }
 
 
