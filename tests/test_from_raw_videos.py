@@ -4,14 +4,13 @@ The surface is coarse and training short: little more than that no
 stage breaks on what the one before it makes of films.
 """
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from avatar.gltf.avatar_file import read_avatar
-from avatar.skeleton import JOINTS, PARTS
+from avatar.skeleton import JOINTS
 from selfscan.__main__ import main
 from train.preset import DEMO, PRESETS
 
@@ -54,8 +53,3 @@ def test_the_avatar_is_as_tall_as_was_told_and_colored(made):
 def test_no_licence_but_our_own_is_on_it(made):
     provenance = read_avatar(made / "me.glb").provenance
     assert "CC0" in provenance["body_licence"]
-
-
-def test_every_video_took_part(made):
-    facts = json.loads((made / "run" / "run.json").read_text())
-    assert set(facts["parts"]) == set(PARTS)

@@ -133,9 +133,3 @@ def test_a_hand_that_broke_off_is_named(run):
 
         check_complete(compact(surface.vertices, surface.faces[body])[0], surface.vertices, surface.part)
     check_complete(TriangleMesh(surface.vertices, surface.faces), surface.vertices, surface.part)
-
-
-@pytest.mark.parametrize("options", [{"faces": 10}, {"texture": 1000}, {"texture": 32}])
-def test_bad_options_are_refused(options):
-    with pytest.raises(ValueError, match="expected"):
-        BakeOptions(**options)

@@ -91,17 +91,9 @@ BAD = {
         lambda f: _rewrite(f / "body/cameras.npz", size=lambda s: 2 * s),
         r"cameras\.npz: size should be \(32, 32\) as the images, is \(64, 64\)",
     ),
-    "an image that is none": (
-        lambda f: (f / "body/images/000000.png").write_bytes(b"\x89PNG"),
-        r"000000\.png: expected a picture \(PNG\)",
-    ),
     "poses shorter than frames": (
         lambda f: _rewrite(f / "hand_left/poses.npz", poses=lambda p: p[:2]),
         r"hand_left/poses\.npz: poses should hold one row for each of 3 frames, holds 2",
-    ),
-    "trans shorter than frames": (
-        lambda f: _rewrite(f / "body/poses.npz", trans=lambda p: p[:1]),
-        r"trans should hold one row for each of 3 frames, holds 1",
     ),
     "poses of another body": (
         lambda f: _rewrite(f / "body/poses.npz", poses=lambda p: p[:, :72]),
@@ -111,19 +103,11 @@ BAD = {
         lambda f: _rewrite(f / "body/poses.npz", poses=_put((1, 47), np.nan)),
         r"body/poses\.npz: poses should be finite, is not in frame 1, joint 15",
     ),
-    "infinity in trans": (
-        lambda f: _rewrite(f / "body/poses.npz", trans=_put((2, 1), np.inf)),
-        r"trans should be finite, is not in frame 2",
-    ),
     "cameras for two of three frames": (
         lambda f: _rewrite(
             f / "body/cameras.npz", K=lambda k: k[:2], camera_from_world=lambda m: m[:2], distortion=lambda d: d[:2]
         ),
         r"cameras\.npz: should hold 1 or 3 cameras, holds 2",
-    ),
-    "zero focal length": (
-        lambda f: _rewrite(f / "head/cameras.npz", K=_put((1, 0, 0), 0.0)),
-        r"cameras\.npz, camera 1: focal length should be positive, is 0,",
     ),
     "a camera that mirrors": (
         lambda f: _rewrite(f / "body/cameras.npz", camera_from_world=lambda m: m * [-1, 1, 1, 1]),
@@ -132,10 +116,6 @@ BAD = {
     "template in millimetres": (
         lambda f: _rewrite(f / "subject.npz", v_template=lambda v: 1000 * v),
         r"subject\.npz: v_template should be a standing person in metres.*: millimetres\?",
-    ),
-    "template in centimetres": (
-        lambda f: _rewrite(f / "subject.npz", v_template=lambda v: 100 * v),
-        r": centimetres\?",
     ),
     "joints in millimetres": (
         lambda f: _rewrite(f / "subject.npz", joints=lambda v: 1000 * v),

@@ -82,11 +82,3 @@ def test_headers_that_lie_are_refused_at_once(tmp_path, header):
     with pytest.raises(AssetError, match=r"a\.npy: (expected )?numbers") as error:
         read_npy(tmp_path / "a.npy", "numbers")
     assert time.process_time() - began < 1 and "\n" not in str(error.value)
-
-
-def test_no_file_and_no_array_are_named(tmp_path):
-    with pytest.raises(AssetError, match=r"b\.npy: no such file; expected joints"):
-        read_npy(tmp_path / "b.npy", "joints")
-    (tmp_path / "c.npy").write_text("hello")
-    with pytest.raises(AssetError, match=r"c\.npy: expected joints \(\.npy\), found"):
-        read_npy(tmp_path / "c.npy", "joints")

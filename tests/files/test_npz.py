@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from memory_use import at_most
 
-from avatar.body import FIELDS, read_body
+from avatar.body import read_body
 from avatar.camera import Camera, pinhole, read_cameras, write_cameras
 from avatar.motion.read import read_motion
 from command.errors import AssetError
@@ -101,10 +101,6 @@ def test_rows_of_an_archive_that_is_not_compressed_are_read_where_they_stand(tmp
             np.testing.assert_array_equal(poses.rows(start, start + 256), values[start : start + 256])
     assert read == [3 * 256] * 5
     npz.close()
-
-
-def test_posedirs_of_a_model_are_not_read():
-    assert "posedirs" not in FIELDS
 
 
 def test_an_array_in_fortran_order_is_held_once_and_only_when_it_is_small(tmp_path):

@@ -2,11 +2,11 @@
 
 import io
 import struct
-import zlib
 
 import numpy as np
 import pytest
 from memory_use import at_most
+from pictures import png
 from PIL import Image
 
 from capture.folder import _read_frames
@@ -16,15 +16,6 @@ from files.picture import WITH_WEBP, decode_picture, picture_size, read_picture
 from player.effects.background import Background, opened_source
 
 EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n(%pipe%id) (w) file\nshowpage\n%%EOF\n"
-
-
-def png(width, height, rows=b""):
-    parts = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(rows))]
-    chunks = [
-        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-        for kind, body in [*parts, (b"IEND", b"")]
-    ]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
 def saved(kind, size=(6, 4)):
@@ -44,9 +35,9 @@ HOSTILE = {
     "BMP": saved("BMP"),
     "GIF": saved("GIF"),
     "PPM": b"P6 30000 30000 255\n",
-    "a PNG of 13,000 x 13,000": png(13000, 13000),
-    "a PNG of 2^31": png(2**31 - 1, 2**31 - 1),
-    "a PNG without pixels": png(0, 0),
+    "a PNG of 13,000 x 13,000": png(13000, 13000, color=2),
+    "a PNG of 2^31": png(2**31 - 1, 2**31 - 1, color=2),
+    "a PNG without pixels": png(0, 0, color=2),
 }
 
 

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-import trimesh
 
-from avatar.body import builtin_body
 from geometry import closest
 from geometry.closest import closest_on_triangles, closest_points, triangle_index
 
@@ -27,17 +25,6 @@ def test_closest_points_equal_the_search_over_every_face(stretch, pairs, monkeyp
     np.testing.assert_allclose(found.distance, every.min(0), rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(points - found.point, axis=1), found.distance, rtol=0, atol=1e-12)
     np.testing.assert_allclose(every[found.face, np.arange(200)], found.distance, rtol=0, atol=1e-12)
-
-
-def test_closest_points_of_the_body_are_those_of_trimesh():
-    # trimesh's tolerances are absolute and meant for units in which triangles are about one: millimetres here
-    body = builtin_body("female")
-    vertices = body.vertices.astype(np.float64)
-    points = vertices[::7] + np.random.default_rng(0).normal(size=(len(vertices[::7]), 3)) * 0.02
-    found = closest_points(points, triangle_index(vertices, body.faces))
-    mesh = trimesh.Trimesh(1000 * vertices, body.faces, process=False)
-    _, expected, _ = trimesh.proximity.closest_point(mesh, 1000 * points)
-    np.testing.assert_allclose(found.distance, expected / 1000, rtol=0, atol=1e-9)
 
 
 def test_unreferenced_vertices_do_not_count():

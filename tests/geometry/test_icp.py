@@ -3,20 +3,12 @@
 import numpy as np
 import trimesh
 import trimesh.registration
+from icosphere import egg
 
 from avatar.body import builtin_body
 from avatar.rotation import matrix_from_axis_angle
 from geometry.closest import triangle_index
 from geometry.icp import Anchors, refine_by_surfaces, rigid_icp
-
-
-def _egg(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Points and normals of an ellipsoid with three different axes."""
-    axes = np.array([0.07, 0.11, 0.09])
-    d = np.random.default_rng(seed).normal(size=(count, 3))
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    normals = d / axes
-    return d * axes, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def _moved(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -26,8 +18,8 @@ def _moved(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_sheet_that_faces_the_other_way_has_no_say():
     """Two sheets 6 mm apart, as lips are: without normals the wrong one attracts."""
-    target, normals = _egg(20000)
-    inner = 0.93 * _egg(20000, 5)[0]
+    target, normals = egg(20000)
+    inner = 0.93 * egg(20000, 5)[0]
     source, transform = _moved(target[:4000])
     turned, n = np.concatenate([target, inner]), np.concatenate([normals, -normals])
     own = normals[:4000] @ transform[:3, :3]
@@ -49,7 +41,7 @@ def test_landmarks_hold_what_the_surfaces_do_not_and_the_scale_is_found():
 
 def test_noisy_landmarks_give_way_to_surfaces_that_determine_the_place():
     rng = np.random.default_rng(6)
-    target, normals = _egg(8000)
+    target, normals = egg(8000)
     places = target[rng.choice(len(target), 14)]
     wrong = places + [0.004, 0, 0]  # all landmarks 4 mm to one side, believed to 2 mm
     free = refine_by_surfaces(target[::2], target, normals, anchors=Anchors(places, places, 0.002)).transform

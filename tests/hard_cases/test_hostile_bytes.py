@@ -14,24 +14,28 @@ import tracemalloc
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from foreign_layouts import write_colmap
 from PIL import Image
 from pose_twins import landmarks, points, sam3d_fields
 from radiance_writer import radiance_bytes
 from rigs import animated_glb
+from smplh_model import write_model
 from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_high_avatar
 from tiny_film import film
 
 from avatar.baked_avatar import check_avatar
-from avatar.body import builtin_body
-from avatar.camera import read_camera
+from avatar.body import builtin_body, read_body
+from avatar.camera import Camera, pinhole, read_camera
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip
 from avatar.motion.read import read_motion
+from capture.read.colmap import Lens, _binary_images, _binary_lenses
 from capture.read.landmarks import read_pixels
 from capture.read.opencv_yaml import read_opencv_yaml
 from command.errors import AssetError
@@ -144,12 +148,19 @@ def objects(path: Path) -> None:
     np.save(path, np.array({"a": np.arange(3)}, object), allow_pickle=True)
 
 
+def colmap(name: str) -> Callable[[Path], bytes]:
+    camera = Camera(pinhole((64, 48), 0.6), np.eye(4), (64, 48))
+    filmed: Any = SimpleNamespace(videos={"head": SimpleNamespace(cameras=[camera, camera])})
+    return lambda folder: (write_colmap(filmed, folder / "model") / name).read_bytes()
+
+
 CAMERA = {"size": [64, 48], "K": [[50, 0, 32], [0, 50, 24], [0, 0, 1]], "camera_from_world": np.eye(4).tolist()}
 KEYS = [{"t": 0, "eye": [0, 1, 3], "target": [0, 1, 0]}, {"t": 2.5, "eye": [1, 1, 3], "target": [0, 1, 0]}]
 LANDMARKS = {"pixels": {"nose_tip": {"a.png": [1, 2], "b.png": [3.5, 4]}}, "vertices": {"mole": 7}}
 PERSON = [{"id": 0, "Rh": [[0.1, 0, 0]], "Th": [[0, 1, 0]], "poses": [[0.1] * 72], "shapes": [[0.0] * 10]}]
 SCENE = b'size = [64, 48]\nrate = 25.0\n[[avatar]]\nfile = "a.toml"\n[[camera]]\nkind = "orbit"\n'
 YAML = b'%YAML:1.0\nnames:\n   - "1"\nK_1: !!opencv-matrix\n   rows: 1\n   cols: 2\n   dt: d\n   data: [1., 2.]\n'
+LENSES = {3: Lens(np.eye(3), np.zeros(5), (64, 48))}
 JSON = {"text": True, "split": lambda data: (json.loads(data),), "join": lambda value: json.dumps(value).encode()}
 GLTF = {"split": split_glb, "join": join_glb}
 
@@ -178,6 +189,9 @@ FORMATS = {
     "camera path": Format("path.json", plain({"keys": KEYS}), CameraPath.read, **JSON),
     "landmarks": Format("landmarks.json", plain(LANDMARKS), read_pixels, **JSON),
     "scene": Format("scene.toml", plain(SCENE), read_scene, text=True, parts=True),
+    "body model": Format("model.npz", written(lambda path: write_model(path.with_suffix(".npz"))), read_body, 50),
+    "COLMAP cameras": Format("cameras.bin", colmap("cameras.bin"), _binary_lenses),
+    "COLMAP images": Format("images.bin", colmap("images.bin"), lambda p: _binary_images(p, LENSES)),
     "OpenCV": Format("intri.yml", plain(YAML), read_opencv_yaml, text=True, parts=True),
     "sky": Format("sky.hdr", plain(radiance_bytes(np.ones((8, 16, 3)))), read_radiance),
     **{name: Format("a.bin", picture(name), any_picture, 2, parts=True) for name in WITH_WEBP},

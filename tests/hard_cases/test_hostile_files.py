@@ -5,12 +5,12 @@ import os
 import struct
 import time
 import tracemalloc
-import zlib
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pictures import png
 from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_high_avatar
 
 from avatar.camera import read_camera
@@ -219,16 +219,6 @@ def test_a_spoilt_value_is_named(path, whole, accessor, offset, value, match):
     start = document["bufferViews"][document["accessors"][accessor]["bufferView"]]["byteOffset"] + offset
     binary[start : start + len(value)] = value
     refused(path, join_glb(document, binary), match, memory=False)
-
-
-def png(width, height, rows: bytes) -> bytes:
-    """A grey PNG that claims a size, whatever its rows hold."""
-    parts = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)), (b"IDAT", zlib.compress(rows))]
-    chunks = [
-        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-        for kind, body in [*parts, (b"IEND", b"")]
-    ]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from icosphere import EGG, egg
 
 from avatar.rotation import matrix_from_axis_angle
 from avatar.similarity import similarity_from_landmarks
@@ -91,17 +92,6 @@ def test_landmarks_that_determine_no_rotation_are_refused(source, reason):
                 similarity_from_landmarks(a, b)
 
 
-AXES = np.array([0.07, 0.11, 0.09])
-
-
-def _egg(count: int = 8000, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Points and normals of an ellipsoid of a head's size with three different axes."""
-    d = np.random.default_rng(seed).normal(size=(count, 3))
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    normals = d / AXES
-    return d * AXES, normals / np.linalg.norm(normals, axis=1, keepdims=True)
-
-
 def _motion(degrees: float, metres: float) -> np.ndarray:
     out = np.eye(4)
     out[:3, :3] = matrix_from_axis_angle(np.radians(degrees) * np.array([0.48, -0.8, 0.36]))
@@ -112,7 +102,7 @@ def _motion(degrees: float, metres: float) -> np.ndarray:
 @pytest.mark.parametrize("outliers", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize("degrees, metres", [(0, 0.0), (1, 0.001), (3, 0.005), (6, 0.01)])
 def test_icp_recovers_a_known_motion_to_a_micrometre_despite_outliers(degrees, metres, outliers, within):
-    target, normals = _egg()
+    target, normals = egg(8000)
     known, source = _motion(degrees, metres), target[:2500].copy()
     rng = np.random.default_rng(3)
     bad = rng.random(len(source)) < outliers
@@ -124,7 +114,7 @@ def test_icp_recovers_a_known_motion_to_a_micrometre_despite_outliers(degrees, m
 
 
 def test_icp_on_a_sphere_finds_the_centre_and_leaves_the_rotation(within):
-    d = _egg()[0] / AXES
+    d = egg(8000)[0] / EGG
     found = refine_by_surfaces(0.1 * d[:3000] + [0.003, -0.002, 0.001], 0.1 * d, d)
     centre = found.transform[:3, :3] @ [0.003, -0.002, 0.001] + found.transform[:3, 3]
     within(centre, 3e-4, "m")
@@ -149,14 +139,14 @@ def test_icp_on_a_plane_settles_on_it_and_slides_nowhere(within):
 
 @pytest.mark.parametrize("gap", [0.3, 1.0, 1e6])
 def test_icp_without_overlap_is_refused(gap):
-    target, normals = _egg(2000)
+    target, normals = egg(2000)
     with pytest.raises(ValueError, match="under 10 %"):
         refine_by_surfaces(target + gap, target, normals)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e-2, 1e2, 1e3])
 def test_icp_between_units_is_refused(scale):
-    target, normals = _egg(2000)
+    target, normals = egg(2000)
     offset = np.array([0.0, 1.6, 0.0])  # a head stands that high
     with pytest.raises(ValueError, match="under 10 %"):
         refine_by_surfaces(scale * (target + offset), target + offset, normals)
@@ -164,13 +154,13 @@ def test_icp_between_units_is_refused(scale):
 
 @pytest.mark.parametrize("which", ["source", "target", "normal"])
 def test_icp_of_numbers_that_are_not_finite_is_refused(which):
-    arrays = {"source": _egg(500)[0], "target": _egg(500)[0], "normal": _egg(500)[1]}
+    arrays = {"source": egg(500)[0], "target": egg(500)[0], "normal": egg(500)[1]}
     arrays[which][17, 1] = np.nan
     with pytest.raises(ValueError, match=f"a {which} is not finite"):
         refine_by_surfaces(arrays["source"], arrays["target"], arrays["normal"])
 
 
 def test_a_start_too_far_off_is_refused_and_not_returned():
-    target, normals = _egg()
+    target, normals = egg(8000)
     with pytest.raises(ValueError, match=r"moves the head by|under 10 %|still moves"):
         refine_by_surfaces(target[:2000] + [0.035, 0, 0], target, normals, reach=0.05)

@@ -11,7 +11,6 @@ from player.window import actions
 from player.window.actions import GROUPS, Action
 from player.window.help import DOCS, TABLES, command_line_help, rows, with_table
 from player.window.keyboard import KEYS
-from player.window.panels.hud_panel import in_columns
 
 ACTIONS = [action for group in GROUPS for action in group.actions]
 
@@ -71,10 +70,3 @@ def test_modes_go_before_what_keys_mean_elsewhere():
     assert actions.found("escape", parts(posing=True, held=1)) is actions.GIVE_UP
     assert actions.found("ctrl+z", parts()) is None and actions.found("ctrl+z", parts(posing=True)) is actions.UNDO
     assert actions.found("t", parts()) is None
-
-
-def test_columns_keep_groups_whole_and_in_order():
-    blocks = [("a", [("k", "m")] * 5), ("b", [("k", "m")] * 2), ("c", [("k", "m")] * 3)]
-    assert [[title for title, _ in column] for column in in_columns(blocks, 2)] == [["a"], ["b", "c"]]
-    assert [[title for title, _ in column] for column in in_columns(blocks, 1)] == [["a", "b", "c"]]
-    assert len(in_columns(blocks, 9)) == 3

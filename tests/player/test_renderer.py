@@ -59,13 +59,6 @@ def test_both_skinnings_are_one_where_no_joint_bends(render, avatar, view):
     assert (away > 1).sum() <= 3  # rounding at edges that pass a pixel centre
 
 
-def test_row_0_is_the_top(render, avatar):
-    head_up = (np.zeros((52, 3)), np.zeros(3))
-    alpha = render(avatar, SIZE, view="off").draw([head_up], orbit_camera((0, 0, 0), 3.2, 0, 0, SIZE))[..., 3] > 0
-    arms = np.argmax(alpha.sum(1))  # the widest row of a T-pose
-    assert arms < SIZE[1] // 2 and alpha[: SIZE[1] // 4].any()
-
-
 @pytest.mark.parametrize("view", ["off", "network"])
 def test_an_avatar_named_twice_is_drawn_twice_and_shares_mesh_and_textures(context, avatar, pose, view):
     aside = (pose[0], pose[1] + [0.7, 0, -0.4])

@@ -73,19 +73,8 @@ def test_fitted_cameras_see_all_avatars_in_their_places_all_the_time(tiny_path, 
 def test_levels_and_qualities_choose_what_is_drawn(tiny_path, tmp_path):
     def passes(*more):
         out = tmp_path / "passes.json"
-        arguments = [
-            tiny_path,
-            "--motion",
-            "walking",
-            "--frame",
-            "3",
-            "--size",
-            "40x48",
-            "--explain",
-            "--json",
-            str(out),
-        ]
-        render_main([*arguments, *more, "-o", str(tmp_path / "a.png")])
+        words = "--motion walking --frame 3 --size 40x48 --explain --json".split()
+        render_main([tiny_path, *words, str(out), *more, "-o", str(tmp_path / "a.png")])
         return {row["name"]: row for row in json.loads(out.read_text())["passes"]}
 
     good, draft, best = passes(), passes("--quality", "draft"), passes("--quality", "best")
@@ -96,11 +85,10 @@ def test_levels_and_qualities_choose_what_is_drawn(tiny_path, tmp_path):
     running = [{name for name, row in rows.items() if row["runs"]} for rows in (good, draft, best)]
     assert running[0] == {"avatar: view vertex", "antialiasing: fxaa"} and running[1] == {"avatar: paper"}
     assert running[2] == {"avatar: view network", "antialiasing: msaa"}
-    assert not passes("--quality", "best", "--antialiasing", "fxaa").keys() & {"antialiasing: msaa"}
-    assert not passes("--quality", "best", "--antialiasing", "none").keys() & {
-        "antialiasing: msaa",
-        "antialiasing: fxaa",
-    }
+    assert "antialiasing: msaa" not in passes("--quality", "best", "--antialiasing", "fxaa")
+    assert (
+        not {"antialiasing: msaa", "antialiasing: fxaa"} & passes("--quality", "best", "--antialiasing", "none").keys()
+    )
 
 
 def test_a_draft_is_not_drawn_in_the_coarsest_of_four_levels():

@@ -39,24 +39,15 @@ def test_no_command_prints_usage_and_returns_2(capsys):
 
 WRONG = [
     ("bake r -o a.glb --texture 1000", "texture: expected a power of two from 64 to 8192, found 1000"),
-    ("bake r -o a.glb --texture 32", "--texture: expected at least 64, found 32"),
-    ("bake r -o a.glb --faces 3", "--faces: expected at least 200, found 3"),
-    ("bake r -o a.glb --texture-from dreams", "--texture-from: invalid choice: 'dreams'"),
-    ("bench a.glb -o out --rounds 0", "--rounds: expected at least 1, found 0"),
-    ("bench a.glb -o out --rounds -1", "--rounds: expected at least 1, found -1"),
+    ("dance", "dance"),
+    ("rendr", "did you mean render?"),
     ("export a.glb --motion counting -o out.fbx", "expected a name that ends in .bvh, .glb, .npz, found"),
     ("export a.glb --motion counting -o out.npz --unit cm", "--unit is for .bvh"),
     ("import", "expected video, totalselfscan or easymocap, found nothing"),
     ("import kinect a b", "expected video, totalselfscan or easymocap, found kinect"),
     ("import easymocap a b", "are required: --body, --head, --landmarks, --masks"),
     ("import totalselfscan a b --select foot=1:2:3", "--select: expected PART=START:STEP:COUNT with PART of body,"),
-    ("import totalselfscan a b --frames 0", "--frames: expected at least 1, found 0"),
     ("inspect a.glb -o out --joint left_ellbow", "no joint is named 'left_ellbow'"),
-    ("inspect a.glb -o out --size 9", "--size: expected at least 64, found 9"),
-    ("inspect a.glb -o out --turns 1", "--turns: expected at least 2, found 1"),
-    ("synth builtin out --frames 1", "--frames: expected at least 4, found 1"),
-    ("synth builtin out --size 3", "--size: expected at least 32, found 3"),
-    ("synth builtin out --sheen 2", "--sheen: expected at most 1, found 2"),
 ]
 
 
@@ -65,16 +56,6 @@ def test_wrong_usage_is_one_line_and_makes_nothing(capsys, monkeypatch, tmp_path
     monkeypatch.chdir(tmp_path)
     code, err = run(capsys, *line.split())
     assert code == 2 and said in err and err.count("\n") == 1 and not list(tmp_path.iterdir())
-
-
-def test_an_unknown_command_is_wrong_usage(capsys):
-    code, err = run(capsys, "dance")
-    assert code == 2 and "dance" in err
-
-
-def test_a_misspelt_command_is_recognised(capsys):
-    code, err = run(capsys, "rendr")
-    assert code == 2 and "did you mean render?" in err
 
 
 def test_a_missing_package_is_named_with_the_command_that_installs_it(capsys, monkeypatch, tmp_path):
@@ -110,14 +91,6 @@ def test_a_gltf_without_a_humanoid_is_refused(capsys, tmp_path):
     refused(capsys, "synth", box, tmp_path / "cap", names=("box.glb",))
     refused(capsys, "render", box, "--motion", "counting", "-o", tmp_path / "a.png", names=("box.glb",))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["box.glb"]
-
-
-def test_a_file_that_is_no_gltf_is_refused(capsys, tmp_path):
-    (tmp_path / "a.glb").write_bytes(b"hello")
-    (tmp_path / "b.glb").write_bytes(b"")
-    for name in ("a.glb", "b.glb"):
-        refused(capsys, "synth", tmp_path / name, tmp_path / "cap", names=(name,))
-        refused(capsys, "render", tmp_path / name, "--motion", "counting", "-o", tmp_path / "a.png", names=(name,))
 
 
 HEAVY = ("torch", "scipy", "skimage", "matplotlib", "onnxruntime", "av", "trimesh")

@@ -3,6 +3,13 @@
 import pytest
 import torch
 
+from capture.folder import read_capture
+
+
+@pytest.fixture(scope="module")
+def capture(tiny_capture):
+    return read_capture(tiny_capture)
+
 
 @pytest.fixture
 def one_thread():

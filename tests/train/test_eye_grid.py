@@ -21,7 +21,7 @@ from train import run as run_folder
 from train.eye_grid import FINER, LIDS, OTHER, OpenEyes, filmed_eyes, open_eyes
 from train.fused import FusedField
 from train.networks.triplane import TriPlaneNetworks
-from train.preset import DEMO, FAST, PAPER
+from train.preset import DEMO
 from train.template_grid import template_grid
 
 
@@ -225,10 +225,6 @@ def test_value_and_gradient_of_the_fused_field_agree_round_the_eyes(subject, fus
     assert (gradient - expected).abs().quantile(0.95) < 2e-2  # beside a plane of nodes either side's is right
 
 
-def test_a_body_without_known_eyes_has_none(subject, closed):
-    assert open_eyes(replace(subject, faces=subject.faces[:, [1, 2, 0]]), closed) is None
-
-
 def test_eyes_are_read_back_from_a_run_and_older_runs_have_none(tmp_path, eyes):
     path = tmp_path / "eyes.npz"
     assert run_folder.read_eyes(path) is None
@@ -249,7 +245,3 @@ def test_broken_eyes_are_refused_by_name(tmp_path, eyes):
     np.savez(path, **{**arrays, "cell": np.float64(0)})
     with pytest.raises(AssetError, match="cell should be a length"):
         run_folder.read_eyes(path)
-
-
-def test_the_paper_s_preset_shows_the_field_as_it_was_learnt():
-    assert DEMO.open_eyes and FAST.open_eyes and not PAPER.open_eyes

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 import torch
 from filmed_part import filmed_part, rays_of, untrained
-from painted_capture import write_capture
 
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import PARTS, skin_transforms
 from capture.fit.refine import copy_refined, poses_refined, refined_path, with_learned, with_refined, write_learned
-from capture.folder import read_capture
 from train.objective import Batch, losses, ray_tensors
 from train.part_job import PartJob, _keep_poses
 from train.pose_correction import PoseCorrection
@@ -20,11 +18,6 @@ from train.trainer import Checkpoints, FieldTraining, train_field
 from train.union import read_rays
 
 ONE = torch.tensor([1.0, 0, 0, 0])  # weights: the first bone alone
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory):
-    return read_capture(write_capture(tmp_path_factory.mktemp("capture") / "test", size=48))
 
 
 def planted(video, subject, degrees, seed=0):

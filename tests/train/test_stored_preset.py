@@ -36,24 +36,6 @@ def test_a_setting_that_is_absent_is_named():
         read(content)
 
 
-@pytest.mark.parametrize("change, message", [
-    ({"rays": "many"}, "settings.rays: expected a whole number, found the string 'many'"),
-    ({"rays": True}, "settings.rays: expected a whole number, found true"),
-    ({"rays": 1.5}, "settings.rays: expected a whole number, found the number 1.5"),
-    ({"clip": float("nan")}, "settings.clip: expected a finite number, found nan"),
-    ({"density": "fog"}, "settings.density: expected one of neus, volsdf, found the string 'fog'"),
-    ({"density": ["neus"]}, "settings.density: expected one of neus, volsdf, found an array"),
-    ({"parts": {}}, "settings.parts: expected [[parts]], found a table"),
-    ({"parts": []}, "settings.parts: expected at least 1 [[parts]], found none"),
-    ({"adam": [0.9, 0.99]}, "settings.adam: expected 3 numbers in brackets, found 2 of them"),
-    ({"union": 3}, "settings.union: expected a table, [settings.union], found the number 3"),
-])  # fmt: skip
-def test_a_setting_of_another_kind_is_refused_by_name(change, message):
-    with pytest.raises(ValueError) as refused:
-        read(stored() | change)
-    assert str(refused.value) == message
-
-
 @pytest.mark.parametrize("networks", [{"kind": "cloud"}, {}, 7, {"kind": ["hash"]}])
 def test_unknown_networks_are_refused_by_name(networks):
     content = stored()

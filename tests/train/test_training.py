@@ -18,7 +18,6 @@ from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
 from capture.fit import refine
 from capture.fit.refine import with_refined
-from capture.folder import read_capture
 from capture.light.fit import LightFit
 from capture.template.parts import part_boxes
 from capture.template.surface import surface_cloud, visible_faces
@@ -35,11 +34,6 @@ from train.render import jittered
 from train.surface import extract_surface
 from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, Watch, train_field
-
-
-@pytest.fixture(scope="module")
-def capture(tiny_capture):
-    return read_capture(tiny_capture)
 
 
 @pytest.fixture(scope="module")

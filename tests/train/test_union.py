@@ -11,7 +11,6 @@ from filmed_part import rays_of
 from sphere_field import SMALL, assert_same_bits, sphere_field, turned_head
 from tiny import TINY
 
-from capture.folder import read_capture
 from capture.template.parts import Box, Part, part_boxes
 from capture.template.surface import surface_cloud, visible_faces
 from command.errors import AssetError
@@ -202,11 +201,6 @@ def test_eq8_with_a_single_frame_stays_finite():
     points, directions = _seen_overlap(fused)
     _, after = match_appearance(fused, 1, points, directions, CodeSteps(count=5))
     assert np.isfinite(after) and torch.isfinite(head.reference).all()
-
-
-@pytest.fixture(scope="module")
-def capture(tiny_capture):
-    return read_capture(tiny_capture)
 
 
 @pytest.fixture(scope="module")

@@ -150,9 +150,6 @@ def moved_pelvis():
 
 NETWORK, HIGH = tiny_avatar().network, tiny_high_avatar().network
 BROKEN = [
-    (tiny_avatar(network=HIGH), r"features should be as many everywhere, are .*'network': 8"),
-    (tiny_high_avatar(network=NETWORK), r"features should be as many everywhere, are .*'network': 4"),
-    (tiny_high_avatar(linear=tiny_avatar().linear), r"features should be as many everywhere, are .*'linear': 4"),
     (tiny_high_avatar(levels=(tiny_level(features=8), tiny_level(2, faces=3))), r"'levels\[1\].features': 4"),
     (tiny_high_avatar(network=dataclasses.replace(HIGH, b3=None)), r"network.b3 should be an array"),
     (tiny_avatar(network=dataclasses.replace(NETWORK, b3=HIGH.b3)), r"network.b3 should be absent where w3 is"),
@@ -160,17 +157,11 @@ BROKEN = [
     (tiny_high_avatar(network=dataclasses.replace(HIGH, b2=np.full(16, np.inf, "f4"))), r"network.b2 should be finite"),
     (oracle(levels=(tiny_level(features=5),)), r"levels\[0\].features should be 4 or 8 a texel, are 5"),
     (tiny_avatar(linear=np.zeros((5, 3, 3), "f4")), "linear should be 4 or 8 matrices"),
-    (changed("positions", 3, np.nan), r"levels\[0\].positions should be finite, is nan at \(3, 0\)"),
     (changed("normals", 2, 0), r"levels\[0\].normals should be of unit length, is .* in row 2"),
-    (changed("view_dir", 2, [1, 1, 0]), r"levels\[0\].view_dir should be of unit length"),
     (changed("view_q", 1, [-1, 0, 0, 0, 0, 0]), r"levels\[0\].view_q should be positive semi-definite"),
     (changed("view_q", 1, [1, 2, 0, 1, 0, 0]), r"levels\[0\].view_q should be positive semi-definite"),
     (changed("view_seen", 1, 1.5), r"levels\[0\].view_seen should be from 0 to 1, is 1.5 in row 1"),
-    (changed("weights", 4, [254, 0, 0, 0]), r"levels\[0\].weights should be a sum of 255, is \[254, 0, 0, 0\]"),
     (changed("joints", 4, [3, 3, 3, 3]), r"levels\[0\].joints should be each joint once"),
-    (changed("joints", 4, [3, 1, 2, 52]), r"levels\[0\].joints should be below 52"),
-    (changed("faces", 0, [0, 1, 8]), r"levels\[0\].faces should be below 8"),
-    (oracle(amplitude=np.nan), "amplitude should be from 0 to 1, is nan"),
     (oracle(default_view="network"), "default_view is 'network', but the avatar has no network"),
     (tiny_avatar(levels=(tiny_level(features=False),)), r"but levels\[0\] has no features"),
     (tiny_avatar(levels=tiny_avatar().levels[::-1]), r"finest to coarsest, have \[3, 6\] faces"),

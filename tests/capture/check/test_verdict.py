@@ -16,7 +16,6 @@ from capture.check.coverage import largest_gap, turn_angles
 from capture.check.pictures import blurred, exposure, missing, repeated, sharpness
 from capture.check.report import examine, examine_part, report_facts
 from capture.check.verdict import verdict
-from capture.raw.judge import Verdict
 from selfscan.__main__ import main
 
 
@@ -55,10 +54,6 @@ def test_a_sound_capture_is_usable_and_measured(good):
         assert part.coverage.gap == pytest.approx(30, abs=3) and part.coverage.seen > 0.85
         assert part.coverage.histogram.sum() == TURN
     json.dumps(report_facts(good), allow_nan=False)
-
-
-def test_nothing_found_is_usable():
-    assert Verdict(()).line() == "usable" and Verdict(()).usable
 
 
 def _masks(change):

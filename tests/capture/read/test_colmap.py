@@ -52,17 +52,6 @@ def test_the_usual_subfolders_are_looked_into(source, tmp_path):
         read_colmap(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
-def test_a_file_cut_at_any_byte_is_refused(source, tmp_path, name):
-    write_colmap(source, tmp_path / "m")
-    whole = (tmp_path / "m" / name).read_bytes()
-    for length in range(len(whole)):
-        (tmp_path / "m" / name).write_bytes(whole[:length])
-        with pytest.raises(AssetError, match=name.replace(".", r"\.")) as error:
-            read_colmap(tmp_path / "m")
-        assert "\n" not in str(error.value)
-
-
 @pytest.mark.parametrize("count", [2, 1 << 20, 1 << 40, (1 << 64) - 1])
 @pytest.mark.parametrize("name, at", [("cameras.bin", 0), ("images.bin", 0), ("images.bin", "points")])
 def test_counts_beyond_the_file_are_refused_within_a_second(source, tmp_path, name, at, count):
@@ -78,30 +67,10 @@ def test_counts_beyond_the_file_are_refused_within_a_second(source, tmp_path, na
     assert time.process_time() - began < 1
 
 
-def test_flipped_bytes_are_refused_or_read(source, tmp_path):
-    rng = np.random.default_rng(3)
-    write_colmap(source, tmp_path / "m", model="OPENCV")
-    for name in ("cameras.bin", "images.bin"):
-        whole = (tmp_path / "m" / name).read_bytes()
-        for _ in range(200):
-            damaged = bytearray(whole)
-            for place in rng.integers(0, len(whole), 2):
-                damaged[place] = rng.integers(256)
-            (tmp_path / "m" / name).write_bytes(damaged)
-            try:
-                cameras = read_colmap(tmp_path / "m")
-                assert all(np.isfinite(c.camera_from_world).all() for c in cameras.values())
-            except AssetError as error:
-                assert "\n" not in str(error)
-        (tmp_path / "m" / name).write_bytes(whole)
-
-
 BAD = {
     "1 FOV 64 48 50 50 32 24 .9": r"camera 1: camera model should be one of SIMPLE_PINHOLE, .* is FOV",
-    "1 PINHOLE 64 48 0 0 32 24": r"camera 1: focal length should be positive, is 0, 0",
     "1 PINHOLE 64 48 50 50 32": r"camera 1: PINHOLE has 4 parameters, found 3",
     "1 PINHOLE 64 48 50 nan 32 24": r"camera 1: K should be finite",
-    "1 PINHOLE 0 48 50 50 32 24": r"camera 1: size should be two whole numbers",
     "1 PINHOLE wide 48 50 50 32 24": r"expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, found",
     "2 PINHOLE 64 48 50 50 32 24": r"image a\.png: no camera 1",
 }

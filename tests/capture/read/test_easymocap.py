@@ -230,12 +230,6 @@ BAD = {
         lambda o: landmarks_changed(o, lambda p: p["chin"].update({"000000.png": [31.0, 1.0]})),
         r"landmarks\.json: chin should be one place in all its pictures",
     ),
-    "a lens that is not read": (
-        lambda o: (o.head / "cameras.bin").write_bytes(
-            (o.head / "cameras.bin").read_bytes()[:12] + b"\x07" + (o.head / "cameras.bin").read_bytes()[13:] + bytes(8)
-        ),
-        r"cameras\.bin, camera 3: camera model should be one of .* is FOV",
-    ),
 }
 
 

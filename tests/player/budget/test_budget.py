@@ -17,7 +17,6 @@ from player.budget.measure import BudgetScene, steady_p95, worth_timing
 from player.budget.rung import Rung
 from player.budget.table import cache_folder, rung_within
 from player.effects.background import Background
-from player.film.command import RenderCommand
 from player.scene.effects import PLAIN
 from player.scene.scene import Scene, SceneAvatar
 from player.window.panels.hud_panel import status
@@ -151,11 +150,6 @@ def test_render_buys_with_a_budget_and_says_what_it_bought(tmp_path, capsys, sai
     assert "paper mode" in capsys.readouterr().out
 
 
-def test_words_of_quality_mean_what_they_meant():
-    assert not RenderCommand("x.png", ("me.glb",), quality="draft").measured
-    assert RenderCommand("x.png", ("me.glb",), quality="0.25").share == 0.25
-
-
 def test_the_window_goes_down_under_load_and_up_again(said, monkeypatch, avatar):
     """Its own clock says how long drawing took: 1 ms of the scene's time, times the load."""
     scene = Scene((SceneAvatar("mannequin", "counting"),))
@@ -213,12 +207,3 @@ def test_a_film_of_the_window_keeps_what_it_began_with(said, avatar):
         assert window.parts.look.effects.view == "off"
     finally:
         window.close()
-
-
-def test_the_table_names_what_was_measured(context, said, avatar):
-    _, chosen = rung_within(context, scene_of(avatar), ["mannequin"], budget=5.0)
-    assert isinstance(chosen, PricedRung)
-    (path,) = (cache_folder() / "budget").glob("*.json")
-    rows = json.loads(path.read_text())["rungs"]
-    # the linear map surely loses to the network per vertex, which is quicker and closer to the network per pixel
-    assert [row["name"] for row in rows] == ["network per pixel, 27k", "per vertex, 27k", "paper mode, 27k"]
