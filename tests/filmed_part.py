@@ -1,9 +1,13 @@
 """A part of a small capture with its template cloud, ready for rays, and its untrained field."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 
 from avatar.skeleton import PARTS
+from bake.run_capture import RunVideos
+from capture.folder import PartVideo
 from capture.template.parts import part_boxes
 from capture.template.surface import surface_cloud, visible_faces
 from train.rays import FilmedPart, RaySettings, TrainingRays, part_rays
@@ -33,3 +37,13 @@ def untrained(filmed: FilmedPart, settings, frames: int, *, cell: float = 0.006,
     template = template_grid(filmed.cloud, extent.low, extent.high, cell)
     torch.manual_seed(seed)
     return build_field(filmed.subject, index, settings, template, frames)
+
+
+@dataclass(frozen=True)
+class FoundVideos(RunVideos):
+    """Videos of a run that lie in no folder."""
+
+    found: dict[str, PartVideo]
+
+    def video(self, part: str) -> PartVideo:
+        return self.found[part]

@@ -1,11 +1,12 @@
 """Textures solved against videos: what was painted comes back from its pictures, what no picture shows is filled."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from filmed_part import FoundVideos
 from painted_capture import write_capture
 from scipy.ndimage import gaussian_filter
 from scipy.sparse import csr_matrix
@@ -15,7 +16,7 @@ from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
 from bake.cone import ViewCone, cone_direction
 from bake.level import level_of_file, places_on_finest
-from bake.run_capture import RunVideos, run_videos
+from bake.run_capture import run_videos
 from bake.texture import video_texture
 from bake.texture.fill import NEAR, TexelSurface, filled_colors
 from bake.texture.pixel_reads import (
@@ -39,16 +40,6 @@ from player.scene.renderer import Renderer
 from train.session import capture_place
 
 SIZE = (96, 96)
-
-
-@dataclass(frozen=True)
-class Filmed(RunVideos):
-    """Videos that lie in no folder."""
-
-    found: dict[str, PartVideo]
-
-    def video(self, part: str) -> PartVideo:
-        return self.found[part]
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +82,7 @@ def videos(context, painted):
             np.tile(pose, (8, 1, 1)) if posed else None, np.zeros((8, 3)) if posed else None, None, None,
         )  # fmt: skip
     renderer.release()
-    return Filmed(Path(), None, head_from_canonical, {}, False, found)
+    return FoundVideos(Path(), None, head_from_canonical, {}, False, found)
 
 
 def test_a_painted_texture_comes_back_from_its_pictures(painted, videos):

@@ -18,7 +18,7 @@ from bench.inspect.colors import ABSENT, SEQUENTIAL, Ramp, rgb
 from bench.inspect.command import inspect
 from bench.inspect.face_section import beside_truth, region_db
 from bench.inspect.options import InspectCommand, inspect_main
-from bench.inspect.page import Check, PagePicture, PageSection, flattened, page
+from bench.inspect.page import Check, PagePicture, PageSection, page
 from bench.score.true_mesh import read_true_mesh
 from capture.held_out import read_held_out
 from capture.read.template import part_of
@@ -193,13 +193,6 @@ def test_a_page_holds_everything_and_escapes_what_is_not_its_own():
     assert 'src="data:image/png;base64,iVBORw==' in text and "says &quot;hi&quot;" in text
     assert re.findall(r'(?:src|href)="(?!data:|#)', text) == [] and "<script" not in text and "url(" not in text
     assert ">good<" in text and ">look<" in text
-
-
-def test_a_tree_is_flattened_to_rows():
-    tree = {"a": {"b": 1.23456789, "c": [1, None]}, "d": [{"e": True}, {"e": "x"}], "f": [0] * 99, "g": {}}
-    assert flattened(tree) == [
-        ("a.b", "1.2346"), ("a.c", "1, None"), ("d[0].e", "True"), ("d[1].e", "x"), ("f", "99 values"), ("g", "{}"),
-    ]  # fmt: skip
 
 
 @pytest.fixture

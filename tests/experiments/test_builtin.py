@@ -18,7 +18,6 @@ from experiments.builtin.dress import dress
 from experiments.builtin.dressed import BELT, EYE, HAIR, LINING, SHIRT, SHOE, SKIN, SKIRT, SOLE, TROUSERS
 from experiments.builtin.glb import write_subject
 from experiments.builtin.looks import FEMALE, MALE
-from experiments.builtin.noise import noise
 from experiments.builtin.refine import TexturedMesh, cut_along, refined
 from experiments.builtin.texels import covered_texels
 from synth.command import load_subject
@@ -172,11 +171,3 @@ def test_splitting_keeps_a_surface_closed_and_cuts_run_along_the_line():
     height = cut.vertices[cut.faces][..., 1] - 0.0213
     assert not ((height.max(1) > 1e-9) & (height.min(1) < -1e-9)).any()
     np.testing.assert_allclose(cut.uv[cut.uv_faces].mean(), cut.vertices[cut.faces][..., :2].mean(), atol=2e-3)
-
-
-def test_noise_is_smooth_bounded_and_repeats_its_numbers():
-    line = np.stack([np.linspace(-3, 3, 6001), np.full(6001, 0.3), np.full(6001, -7.7)], -1)
-    value = noise(line, 5)
-    assert np.abs(value).max() <= 1 and np.abs(np.diff(value)).max() < 0.005
-    np.testing.assert_array_equal(value, noise(line, 5))
-    assert np.abs(value - noise(line, 6)).max() > 0.1

@@ -67,9 +67,7 @@ def test_one_person_is_filmed_once_and_judged_in_three_columns_on_the_same_pictu
     row = f"| held-out poses: P2S aligned, cm | {three} | {three} | {three} | 1.84 / 0.59 / 0.55 |"
     assert row in text
     own = "| own videos: P2S aligned, cm | 0.10 / 0.10 / 0.10 | 0.10 / 0.10 / 0.10 | 0.10 / 0.10 / 0.10 | 1.84 / "
-    assert own in text and text.index(own) < text.index(row) and "One picture leaves the depth of limbs open" in text
-    assert "| held-out poses, 0 steps: P2S in place, cm | 2.00 / 2.00 / 2.00 |" in text and "commit abc1234" in text
-    assert "200 steps a part, 16% of those of preset demo" in text
+    assert own in text and text.index(own) < text.index(row)
 
 
 def test_what_is_there_is_kept_and_other_settings_go_elsewhere(made, capsys):

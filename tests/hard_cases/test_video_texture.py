@@ -1,11 +1,12 @@
 """Textures solved against videos that show nothing, once, a thousand times and never the same."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from charted_ball import charted_ball
+from filmed_part import FoundVideos
 from scipy.sparse import coo_matrix, csr_matrix, identity
 
 from avatar.camera import orbit_camera
@@ -13,7 +14,6 @@ from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
 from avatar.texture import bytes_of, mipmaps
 from bake.level import BakedLevel, level_of_file
-from bake.run_capture import RunVideos
 from bake.texture.pixel_reads import atlas_mesh
 from bake.texture.seams import edge_reads, solve_seams
 from bake.texture.texels import TexelMap, spread
@@ -68,18 +68,8 @@ def test_frames_that_contradict_each_other_end_between_them(width, rounds, withi
     within(np.median(found[4:-4]), 0.01, "median")
 
 
-@dataclass(frozen=True)
-class Filmed(RunVideos):
-    """Videos that lie in no folder."""
-
-    found: dict[str, PartVideo]
-
-    def video(self, part: str) -> PartVideo:
-        return self.found[part]
-
-
 @pytest.fixture(scope="module")
-def grey() -> tuple[BakedLevel, np.ndarray, Filmed]:
+def grey() -> tuple[BakedLevel, np.ndarray, FoundVideos]:
     """A grey mannequin, and four frames of each part that show a grey square."""
     avatar = mannequin()
     level = avatar.levels[0]
@@ -94,7 +84,11 @@ def grey() -> tuple[BakedLevel, np.ndarray, Filmed]:
             np.tile(np.asarray(avatar.canonical_pose, np.float64), (4, 1, 1)) if posed else None,
             np.zeros((4, 3)) if posed else None, None, None,
         )  # fmt: skip
-    return level_of_file(level), np.asarray(avatar.joint_positions), Filmed(Path(), None, np.eye(4), {}, False, videos)
+    return (
+        level_of_file(level),
+        np.asarray(avatar.joint_positions),
+        FoundVideos(Path(), None, np.eye(4), {}, False, videos),
+    )
 
 
 def textured(grey, lights: dict[str, CaptureLight] | None = None, **changes) -> tuple[np.ndarray, dict]:
