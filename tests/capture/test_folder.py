@@ -67,6 +67,7 @@ def _head_away(folder):
     _rewrite(folder / "head" / "cameras.npz", camera_from_world=lambda m: np.tile(m[:1], (3, 1, 1)))
 
 
+PER_FRAME = ("K", "camera_from_world", "distortion")
 BAD = {
     "no masks": (lambda f: shutil.rmtree(f / "body" / "masks"), r"body/masks: expected frames 000000\.png"),
     "one mask missing": (
@@ -87,51 +88,9 @@ BAD = {
         lambda f: [_paint(p, size=(16, 20)) for p in (f / "head/masks").iterdir()],
         r"head/masks: should be \(32, 32\) pixels as the images, are \(16, 20\)",
     ),
-    "cameras of another size": (
-        lambda f: _rewrite(f / "body/cameras.npz", size=lambda s: 2 * s),
-        r"cameras\.npz: size should be \(32, 32\) as the images, is \(64, 64\)",
-    ),
-    "poses shorter than frames": (
-        lambda f: _rewrite(f / "hand_left/poses.npz", poses=lambda p: p[:2]),
-        r"hand_left/poses\.npz: poses should hold one row for each of 3 frames, holds 2",
-    ),
-    "poses of another body": (
-        lambda f: _rewrite(f / "body/poses.npz", poses=lambda p: p[:, :72]),
-        r"poses should be \(3, 156\), is \(3, 72\)",
-    ),
-    "nan in poses": (
-        lambda f: _rewrite(f / "body/poses.npz", poses=_put((1, 47), np.nan)),
-        r"body/poses\.npz: poses should be finite, is not in frame 1, joint 15",
-    ),
     "cameras for two of three frames": (
-        lambda f: _rewrite(
-            f / "body/cameras.npz", K=lambda k: k[:2], camera_from_world=lambda m: m[:2], distortion=lambda d: d[:2]
-        ),
+        lambda f: _rewrite(f / "body/cameras.npz", **dict.fromkeys(PER_FRAME, lambda rows: rows[:2])),
         r"cameras\.npz: should hold 1 or 3 cameras, holds 2",
-    ),
-    "a camera that mirrors": (
-        lambda f: _rewrite(f / "body/cameras.npz", camera_from_world=lambda m: m * [-1, 1, 1, 1]),
-        r"camera_from_world should hold a rotation",
-    ),
-    "template in millimetres": (
-        lambda f: _rewrite(f / "subject.npz", v_template=lambda v: 1000 * v),
-        r"subject\.npz: v_template should be a standing person in metres.*: millimetres\?",
-    ),
-    "joints in millimetres": (
-        lambda f: _rewrite(f / "subject.npz", joints=lambda v: 1000 * v),
-        r"subject\.npz: joints should lie in the template, in metres; joint \d+",
-    ),
-    "trans in millimetres": (
-        lambda f: _rewrite(f / "body/poses.npz", trans=lambda t: 1000 * (t + [1, 0.9, 2.0])),
-        r"body: cameras\.npz and poses\.npz should be in metres of one world",
-    ),
-    "cameras in millimetres": (
-        lambda f: _rewrite(f / "body/cameras.npz", camera_from_world=_put((..., slice(3), 3), [0, 0, 3500.0])),
-        r"the person is 3500 m from the camera: millimetres\?",
-    ),
-    "the camera looks away": (
-        lambda f: _rewrite(f / "body/cameras.npz", camera_from_world=_put((..., slice(3), 3), [0, 0, -3.5])),
-        r"the person should be in front of the camera",
     ),
     "landmarks behind the cameras": (
         _head_away,
@@ -145,6 +104,24 @@ BAD = {
     ),
     "no person in any frame": (_black, r"hand_left/masks: no pixel of any frame shows the person"),
     "no capture": (lambda f: (f / "capture.json").unlink(), r"capture\.json: no such file"),
+}
+EYE = (..., slice(3), 3)
+# an archive, a field, what is done to it, the complaint
+SPOILT_FIELDS = [
+    ("body/cameras", "size", lambda s: 2 * s, r"size should be \(32, 32\) as the images, is \(64, 64\)"),
+    ("hand_left/poses", "poses", lambda p: p[:2], r"poses should hold one row for each of 3 frames, holds 2"),
+    ("body/poses", "poses", lambda p: p[:, :72], r"poses should be \(3, 156\), is \(3, 72\)"),
+    ("body/poses", "poses", _put((1, 47), np.nan), r"poses should be finite, is not in frame 1, joint 15"),
+    ("body/cameras", "camera_from_world", lambda m: m * [-1, 1, 1, 1], r"camera_from_world should hold a rotation"),
+    ("subject", "v_template", lambda v: 1000 * v, r"should be a standing person in metres.*: millimetres\?"),
+    ("subject", "joints", lambda v: 1000 * v, r"joints should lie in the template, in metres; joint \d+"),
+    ("body/poses", "trans", lambda t: 1000 * (t + [1, 0.9, 2.0]), r"poses\.npz should be in metres of one world"),
+    ("body/cameras", "camera_from_world", _put(EYE, [0, 0, 3500.0]), r"is 3500 m from the camera: millimetres\?"),
+    ("body/cameras", "camera_from_world", _put(EYE, [0, 0, -3.5]), r"the person should be in front of the camera"),
+]
+BAD |= {
+    f"{name} {field}: {message}": (lambda f, n=name, k=field, e=edit: _rewrite(f / f"{n}.npz", **{k: e}), message)
+    for name, field, edit, message in SPOILT_FIELDS
 }
 
 

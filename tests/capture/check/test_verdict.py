@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -126,24 +127,15 @@ def _wrong_landmark(capture):
     return with_video(capture, "head", landmarks=points)
 
 
+SIDES = ("left", "right")
+ERODED = partial(ndimage.binary_erosion, iterations=2, border_value=1)
+DILATED = partial(ndimage.binary_dilation, iterations=2)
 SPOILT = {
-    "hand folders exchanged": (
-        _exchanged,
-        ["hand_left: it shows the other hand", "hand_right: it shows the other hand"],
-        True,
-    ),
+    "hand folders exchanged": (_exchanged, [f"hand_{side}: it shows the other hand" for side in SIDES], True),
     "hand pictures exchanged": (_pictures_exchanged, ["hand_left: it shows the other hand"], True),
     "hand poses off": (_off, [r"hand_left: poses are [\d.]+ px off the masks, most in \d"], False),
-    "masks eroded": (
-        _masks(lambda m: ndimage.binary_erosion(m, iterations=2, border_value=1)),
-        ["hand_left: masks are 2 px smaller than the template all along"],
-        False,
-    ),
-    "masks dilated": (
-        _masks(lambda m: ndimage.binary_dilation(m, iterations=2)),
-        ["hand_left: masks are 2 px larger than the template all along"],
-        False,
-    ),
+    "masks eroded": (_masks(ERODED), ["hand_left: masks are 2 px smaller than the template all along"], False),
+    "masks dilated": (_masks(DILATED), ["hand_left: masks are 2 px larger than the template all along"], False),
     "one mask grown": (_background_in_mask, ["hand_right: masks change size in frames 2"], False),
     "nobody in one frame": (_nobody([1]), ["body: masks show no person in frames 1"], False),
     "nobody in a third": (_nobody([1, 5, 6, 9]), ["body: masks show no person in frames 1, 5, 6, 9"], True),

@@ -5,7 +5,6 @@ import pytest
 import trimesh
 
 from avatar.skeleton import JOINTS, PARTS
-from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
 from capture.template.grid import DistanceGrid
 from capture.template.layers import (
@@ -160,12 +159,6 @@ def test_a_bald_person_has_one_layer():
     bald = CaptureSubject("bald", subject.rest, subject.vertices, subject.faces, subject.skin, subject.joints,
                           subject.part, subject.hair)  # fmt: skip
     assert hair_layers(bald, whole) is None
-
-
-def test_rigid_weights_name_the_head_alone():
-    skin = rigid_weights(3)
-    assert isinstance(skin, SkinWeights)
-    assert (skin.joints[:, 0] == JOINTS.index("head")).all() and skin.weights.sum() == 3
 
 
 def test_a_layer_outside_the_grid_of_zones_is_positive():
