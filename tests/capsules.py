@@ -125,16 +125,8 @@ def make_run(sheen: float = 0.0, step: float = 0.010, fine: float = 0.005) -> Ba
         view_covariance=variance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]],
         layer=np.zeros(len(part), np.int64),
     )
-    subject = CaptureSubject(
-        "capsules",
-        vertices,
-        vertices,
-        faces,
-        surface.skin,
-        joints,
-        part.astype(np.int64),
-        np.zeros(len(vertices), bool),
-    )
+    nobody = np.zeros(len(vertices), bool)
+    subject = CaptureSubject("capsules", vertices, vertices, faces, surface.skin, joints, surface.part, nobody)
     functions = CanonicalField(field.distance, field.normal, field.color)
     return BakeSource(functions, surface, subject, {"subject": "capsules", "preset": "analytic"})
 

@@ -14,7 +14,7 @@ from smplh_model import J0
 from avatar.camera import project
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, quaternion_from_matrix
 from avatar.similarity import similarity_from_landmarks
-from avatar.skeleton import BIG_POSE, PARENTS, skin_transforms
+from avatar.skeleton import BIG_POSE, PARENTS, PARTS, skin_transforms
 from avatar.skinning import dense_weights, skin_points
 from capture.folder import Capture, PartVideo, read_capture
 
@@ -74,11 +74,8 @@ def _head_from_canonical(capture: Capture) -> np.ndarray:
 
 def _write_authors_body(capture: Capture, video: PartVideo, part: str, folder: Path) -> None:
     subject = capture.subject
-    members = (
-        np.arange(len(subject.rest))
-        if part == "body"
-        else np.flatnonzero(subject.part == (2 if part == "hand_left" else 3))
-    )
+    own = subject.part == PARTS.index(part)
+    members = np.arange(len(own)) if part == "body" else np.flatnonzero(own)
     names = []
     for i in range(len(video.images)):
         stem = f"{FIRST[part] + i:06d}"  # a string: zeros count
@@ -101,12 +98,8 @@ def _write_authors_body(capture: Capture, video: PartVideo, part: str, folder: P
         numbers(folder / f"vertices/{stem}.npy", skin_points(subject.rest, subject.skin, B)[members].astype("f4"))
     camera = video.cameras[0]
     T = camera.camera_from_world[:3, 3:] * (1000 if part == "body" else 1)
-    cams = {
-        "K": [camera.K - HALF],
-        "D": [camera.distortion[:, None]],
-        "R": [camera.camera_from_world[:3, :3]],
-        "T": [T],
-    }
+    R = camera.camera_from_world[:3, :3]
+    cams = {"K": [camera.K - HALF], "D": [camera.distortion[:, None]], "R": [R], "T": [T]}
     object_array(folder / "annots.npy", {"cams": cams, "ims": [{"ims": [name]} for name in names]})
     lbs = folder / "lbs"
     numbers(lbs / "joints.npy", subject.joints + J0)
@@ -143,13 +136,9 @@ def opencv_matrix(name: str, values: np.ndarray) -> str:
 def write_cameras_yaml(folder: Path, name: str, K, distortion, R, T) -> None:
     head = f'%YAML:1.0\n---\nnames:\n   - "{name}"\n'
     (folder / "intri.yml").write_text(head + opencv_matrix(f"K_{name}", K) + opencv_matrix(f"dist_{name}", distortion))
-    rodrigues = axis_angle_from_matrix(R)[:, None]
-    (folder / "extri.yml").write_text(
-        head
-        + opencv_matrix(f"R_{name}", rodrigues)
-        + opencv_matrix(f"Rot_{name}", R)
-        + opencv_matrix(f"T_{name}", T[:, None])
-    )
+    place = {"R": axis_angle_from_matrix(R)[:, None], "Rot": R, "T": T[:, None]}
+    matrices = (opencv_matrix(f"{key}_{name}", value) for key, value in place.items())
+    (folder / "extri.yml").write_text(head + "".join(matrices))
 
 
 def write_easymocap(

@@ -64,18 +64,8 @@ def test_a_package_imports_only_what_lies_below_it(package):
 
 
 # inside the player, from the lowest; the commands stand above all
-RANK = {
-    "gl": 0,
-    "draw": 1,
-    "pose": 1,
-    "effects": 2,
-    "scene": 3,
-    "budget": 4,
-    "film": 5,
-    "web": 5,
-    "live": 5,
-    "window": 6,
-}
+ORDER = ("gl", "draw pose", "effects", "scene", "budget", "film web live", "window")
+RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()}
 
 
 def test_the_player_imports_one_way():
