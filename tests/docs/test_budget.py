@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_813,
     "bench": 5_995,
     "selfscan": 393,
-    "tests": 36_445,
+    "tests": 35_950,
 }
 
 
