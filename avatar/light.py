@@ -12,14 +12,14 @@ person) is not known. Cast shadows are not part of it.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from command.settings import AtLeast, AtMost, SettingsSource, check, record_of, settings_json
+from command.settings import AtLeast, AtMost, SettingsSource, record_of, settings, settings_json
 from files.input_file import Json, JsonObject
 
 Frame = Literal["camera", "world"]
@@ -29,7 +29,7 @@ EXPONENT = 20.0
 STRONGEST = 100.0
 
 
-@dataclass(frozen=True)
+@settings
 class Lamp:
     """A lamp so far away that its direction and strength are the same everywhere on the person."""
 
@@ -37,12 +37,11 @@ class Lamp:
     strength: Annotated[float, AtLeast(0), AtMost(STRONGEST)]
 
     def __post_init__(self):
-        check(self)
         if not abs(math.hypot(*self.direction) - 1) < 1e-4:
             raise ValueError(f"direction: expected three numbers of length 1, found {self.direction}")
 
 
-@dataclass(frozen=True)
+@settings
 class CaptureLight:
     """Light of a capture; see the module. Frozen once it is fitted, before anything is trained."""
 
@@ -56,7 +55,6 @@ class CaptureLight:
     frame: Frame = "camera"
 
     def __post_init__(self):
-        check(self)
         if len(self.lamps) > LAMPS:
             raise ValueError(f"lamps: expected at most {LAMPS}, found {len(self.lamps)}")
         if self.ambient + sum(lamp.strength for lamp in self.lamps) <= 0:

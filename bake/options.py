@@ -1,13 +1,12 @@
 """Settings of a bake, and of its command line."""
 
-from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from command.command_line import Hidden
-from command.settings import AtLeast, AtMost, check
+from command.settings import AtLeast, AtMost, settings
 
 
-@dataclass(frozen=True)
+@settings
 class BakeOptions:
     """Settings of a bake; `selfscan bake` offers those that are not hidden."""
 
@@ -41,8 +40,5 @@ class BakeOptions:
     truth_poses: Annotated[int, Hidden(), "of each held-out set, to choose the default view by, and to judge it"] = 6
 
     def __post_init__(self):
-        check(self)
         if self.texture & (self.texture - 1):
             raise ValueError(f"texture: expected a power of two from 64 to 8192, found {self.texture}")
-        if self.quality not in ("normal", "high"):
-            raise ValueError(f"quality: expected normal or high, found {self.quality!r}")

@@ -1,7 +1,7 @@
 """The capture folder: four part videos with masks, cameras and poses, and the subject's registered template."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
 from functools import partial
 from pathlib import Path
@@ -15,13 +15,14 @@ from avatar.camera import Camera, project, read_cameras
 from avatar.motion.amass import read_video_poses
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from capture.frame_files import FrameFiles, Frames
+from capture.frame_files import FrameFiles, Frames, sized_picture
 from capture.videos import Videos
 from command.errors import AssetError
 from files.input_file import read_json_object
 from files.npz import field, read_npz
 from files.picture import read_picture
 from files.whole import whole_file
+from geometry.mesh import TriangleMesh
 
 SUBJECT = ("v_template", "faces", "joints", "skin_joints", "skin_weights", "part", "hair")
 # metres: from an infant to the tallest man measured
@@ -53,10 +54,26 @@ class CaptureSubject:
     under_hair: Int[Array, "k 3"] = dataclass_field(default_factory=lambda: np.zeros((0, 3), np.int64))
     # carved vertices of hair: the first, and the one after the last
     carved: tuple[int, int] = (0, 0)
-    # metres under the lowest skin of the head that the head's field takes from the body's (train/parts.py)
+    # metres under the lowest skin of the head that the head's field takes from the body's (train/fused.py)
     head_reach: float = 0.0
     # vertices that carved clothes hide from every side (clothes.py): their inside, and the body there; None: none
     behind_cloth: Bool[Array, "vertices"] | None = None
+
+    def joined(
+        self, kept: Int[Array, "k 3"], mesh: TriangleMesh, rest: Float[Array, "n 3"], skin: SkinWeights,
+        part: Int[Array, "n"], *, hair: bool,
+    ) -> "CaptureSubject":  # fmt: skip
+        """The subject with the `kept` of its own faces and a mesh, canonical, behind them; `rest` is it in pose 0."""
+        weights = (np.concatenate(both) for both in zip(self.skin, skin))
+        return replace(
+            self,
+            rest=np.concatenate([self.rest, rest]),
+            vertices=np.concatenate([self.vertices, mesh.vertices]),
+            faces=np.concatenate([kept, mesh.faces + len(self.vertices)]),
+            skin=SkinWeights(*weights),
+            part=np.concatenate([self.part, part]),
+            hair=np.concatenate([self.hair, np.full(len(rest), hair)]),
+        )
 
 
 @dataclass(frozen=True)
@@ -314,12 +331,9 @@ def _read_frames(
         raise AssetError(f"{folder}: expected frames 000000.png ..., found none")
     first = kept(read_picture(paths[0], mode, formats=("PNG",)))
     frames = np.empty((len(paths), *first.shape), first.dtype)
-    for i, path in enumerate(paths):
-        frame = kept(read_picture(path, mode, formats=("PNG",))) if i else first
-        if frame.shape != first.shape:
-            size, expected = frame.shape[1::-1], first.shape[1::-1]
-            raise AssetError(f"{path}: should be {expected} pixels as the first frame, is {size}")
-        frames[i] = frame
+    frames[0], size = first, (first.shape[1], first.shape[0])
+    for i, path in enumerate(paths[1:], 1):
+        frames[i] = kept(sized_picture(path, size, "as the first frame", mode, ("PNG",)))
     return [path.name for path in paths], frames
 
 

@@ -9,9 +9,23 @@ import numpy as np
 from jaxtyping import Int, UInt8
 
 from command.errors import AssetError
-from files.picture import read_picture
+from files.picture import PHOTOS, read_picture
 
 Array = np.ndarray
+
+
+def sized_picture(
+    path: Path, size: tuple[int, int], like: str, mode: str | None = "RGB", formats: tuple[str, ...] = PHOTOS
+) -> Array:
+    """The pixels of a picture (files/picture.py) that should be so wide and high.
+
+    Raises:
+        AssetError: it cannot be read, or has another size than the one that `like` names.
+    """
+    pixels = read_picture(path, mode, formats=formats)
+    if pixels.shape[1::-1] != size:
+        raise AssetError(f"{path}: should be {size} pixels {like}, is {pixels.shape[1::-1]}")
+    return pixels
 
 
 @dataclass(frozen=True)
@@ -44,11 +58,7 @@ class FrameFiles:
         return map(self._read, self.paths)
 
     def _read(self, path: Path) -> UInt8[Array, "height width 3"]:
-        pixels = read_picture(path, "RGB", formats=("PNG",))
-        if pixels.shape[:2] != self.size:
-            found = f"{pixels.shape[1]} x {pixels.shape[0]}"
-            raise AssetError(f"{path}: expected {self.size[1]} x {self.size[0]} pixels as before, found {found}")
-        return pixels
+        return sized_picture(path, (self.size[1], self.size[0]), "as before", formats=("PNG",))
 
 
 # pictures of a video. To a type checker an array: who asks for files looks at whole frames, and at rows of them

@@ -11,12 +11,12 @@ from jaxtyping import Bool, Float, UInt8
 
 from avatar.camera import Camera
 from avatar.skeleton import PARTS
+from capture.frame_files import sized_picture
 from capture.keypoints.read import read_keypoints
 from capture.keypoints.record import Keypoints
 from command.errors import AssetError
 from files.input_file import read_json_object
 from files.npz import read_npz
-from files.picture import read_picture
 
 SETS = ("novel_pose", "novel_view")
 
@@ -60,12 +60,7 @@ class HeldOutView:
 
     def pixels(self, kind: str, mode: str) -> np.ndarray:
         path = self.folder / kind / f"{self.name}.png"
-        pixels = read_picture(path, mode, formats=("PNG",))
-        width, height = self.camera.size
-        if pixels.shape[:2] != (height, width):
-            found = f"{pixels.shape[1]} x {pixels.shape[0]}"
-            raise AssetError(f"{path}: expected {width} x {height} pixels as in views.npz, found {found}")
-        return pixels
+        return sized_picture(path, self.camera.size, "as in views.npz", mode, ("PNG",))
 
 
 def read_capture_facts(capture: Path) -> dict:

@@ -5,6 +5,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 from weakref import WeakValueDictionary
 
+import numpy as np
+
 if TYPE_CHECKING:
     from capture.folder import PartVideo
 
@@ -74,3 +76,8 @@ def let_go(videos: Mapping[str, "PartVideo"]) -> None:
 def size_of(video: "PartVideo") -> int:
     """Bytes of its pixels."""
     return sum(0 if pixels is None else pixels.nbytes for pixels in (video.images, video.masks, video.unsure))
+
+
+def even(count: int, wanted: int) -> list[int]:
+    """At most `wanted` of `count` frames, evenly spread; the last is left out, where a turn is where it began."""
+    return [int(i) for i in np.unique(np.linspace(0, count, wanted, endpoint=False).astype(int))]

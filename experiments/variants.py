@@ -31,8 +31,7 @@ from capture.template.parts import part_boxes
 from capture.template.views import statistics
 from train.compose import displayed_surface, view_sums, with_views
 from train.field import PartField
-from train.fused import FusedField
-from train.parts import eq9_shares
+from train.fused import FusedField, eq9_shares
 from train.run import Run, read_part
 from train.union import in_overlap
 

@@ -24,8 +24,8 @@ from capture.folder import Capture, CaptureSubject
 from capture.register.head_consistency import place_by_consistency
 from capture.register.head_height import height_by_outline
 from capture.register.photometric import ColoredHead, refine_on_video
-from capture.template.layers import BODY, rigid_weights, without_hair
-from capture.template.parts import part_boxes
+from capture.template.layers import BODY, without_hair
+from capture.template.parts import part_boxes, rigid_weights
 from capture.template.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
 from geometry.harmonic import fill_reached
 from geometry.icp import Anchors, refine_by_surfaces
@@ -33,10 +33,9 @@ from geometry.mesh import vertex_normals
 from train.appearance import CodeSteps, match_appearance, overlap_rays
 from train.eye_grid import OpenEyes, filmed_eyes
 from train.field import PartField
-from train.fused import FusedField
+from train.fused import FusedField, eq9_shares, part_weight
 from train.light import SeenTensors, VideoLight, light_facts, seen_lights_from_json, seen_tensors
 from train.objective import RayTensors
-from train.parts import eq9_shares, part_weight
 from train.preset import Preset
 from train.skin import CanonicalSkin
 from train.surface import Surface, extract_surface
@@ -156,7 +155,10 @@ def compose(
     say(f"view directions (Eq. 14): {float((surface.view_count > 0).mean()):.1%} of the vertices seen")
     if rays is not None:
         with timed(seconds, "appearance"):
-            steps = code_steps(preset, parts.seed)
+            steps = CodeSteps(
+                count=preset.appearance_steps, rate=preset.appearance_rate, last_rate=preset.appearance_last_rate,
+                seed=parts.seed,
+            )  # fmt: skip
             facts["appearance"] = match_appearances(fused, rays, surface.vertices, tables, steps, say)
     fused.cpu()
     return Composition(surface, fused.eyes, tables, facts)
@@ -236,13 +238,6 @@ def place_head(
         place, facts["outline"] = placed_by_outline(capture, landmarks, head.canonical_from_head, say)
         head = replace(head, correction=place @ np.linalg.inv(landmarks.transform))
     return head
-
-
-def code_steps(preset: Preset, seed: int) -> CodeSteps:
-    """How a preset optimises codes (Eq. 8)."""
-    return CodeSteps(
-        count=preset.appearance_steps, rate=preset.appearance_rate, last_rate=preset.appearance_last_rate, seed=seed
-    )
 
 
 class DisplayedSurface(NamedTuple):

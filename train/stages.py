@@ -20,9 +20,9 @@ from avatar.skeleton import PARTS
 from capture.fit.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
 from capture.folder import Capture, CaptureSubject, read_capture, write_subject
 from capture.light.fit import fit_capture_light, light_line
-from capture.register.rigid import with_rigid_head
 from capture.template.clothes import with_clothes
 from capture.template.hull import with_hair
+from capture.template.parts import with_rigid_head
 from capture.videos import let_go
 from command.errors import AssetError
 from command.interrupt import prompt_stop

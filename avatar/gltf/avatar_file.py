@@ -86,7 +86,10 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
         raise gltf.error(f"{where}.amplitude", "a number", amplitude)
     linear = None
     if "linear" in extension:
-        linear = gltf.numbers(extension, "linear", where, (_matrices(extension), 3, 3)).astype(np.float32)
+        values = extension["linear"]
+        # of 4 features unless there are as many numbers as for 8
+        count = FEATURES[isinstance(values, list) and len(values) == 9 * FEATURES[1]]
+        linear = gltf.numbers(extension, "linear", where, (count, 3, 3)).astype(np.float32)
     try:
         avatar = Avatar(
             name=extension["name"],
@@ -145,12 +148,6 @@ def _read_network(gltf: Gltf, extension: JsonObject) -> ViewNetwork | None:
         raise gltf.error(where, f"of {', '.join(arrays)} alone", unknown)
     check_network(arrays, where)
     return ViewNetwork(**arrays)
-
-
-def _matrices(extension: JsonObject) -> int:
-    """How many 3 x 3 matrices `linear` holds: 8 when it has as many numbers, else 4 are expected."""
-    values = extension["linear"]
-    return FEATURES[1] if isinstance(values, list) and len(values) == 9 * FEATURES[1] else FEATURES[0]
 
 
 def _read_levels(gltf: Gltf, extension: JsonObject, wanted: int | None, *, twisted: bool = False) -> tuple[Level, ...]:

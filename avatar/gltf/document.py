@@ -101,6 +101,13 @@ class Gltf:
             raise self.error(f"{field}.{key}", f"{size} finite numbers", value)
         return np.array(value, dtype=np.float64).reshape(shape)
 
+    def objects(self, holder: JsonObject, key: str, field: str) -> list[JsonObject]:
+        """A list of objects, one at least."""
+        value = holder.get(key)
+        if not isinstance(value, list) or not value or not all(isinstance(v, dict) for v in value):
+            raise self.error(f"{field}.{key}", "a list of objects", value)
+        return value
+
     def view(self, index: object, field: str) -> memoryview:
         """The bytes of a buffer view."""
         view = self.item("bufferViews", index, field)

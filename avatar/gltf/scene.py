@@ -136,12 +136,9 @@ def read_skin(gltf: Gltf, index: object, *, field: str = "skin") -> Skin:
     return Skin(str(skin.get("name", "")), nodes, matrices)
 
 
-def primitives(gltf: Gltf, mesh: object, *, field: str = "mesh") -> list[dict]:
+def primitives(gltf: Gltf, mesh: object) -> list[dict]:
     """The JSON of a mesh's primitives."""
-    parts = gltf.item("meshes", mesh, field).get("primitives")
-    if not isinstance(parts, list) or not parts or not all(isinstance(part, dict) for part in parts):
-        raise gltf.error(f"meshes[{mesh}].primitives", "a list of objects", parts)
-    return parts
+    return gltf.objects(gltf.item("meshes", mesh, "mesh"), "primitives", f"meshes[{mesh}]")
 
 
 def read_primitive(gltf: Gltf, mesh: int, primitive: int = 0) -> Primitive:

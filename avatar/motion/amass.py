@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.body import Body
@@ -65,16 +64,15 @@ def write_amass(
     clip: Clip | Motion,
     *,
     up: str = "z",
-    pelvis: Float[Array, "3"] | None = None,
     dtype: type = np.float64,
     beside: Mapping[str, Array] | None = None,
 ) -> None:
     """Write a clip, or a motion of any length in constant memory, with AMASS keys, whole or not at all.
 
-    up="z" is what AMASS and its tools expect: the clip is turned and trans = pelvis_z - J0, with J0 the usual
-    one of SMPL+H unless `pelvis` gives another. up="y" keeps our world, with trans = pelvis (J0 = 0) unless
-    given. J0 and the up axis are stored beside (`pelvis`, `up_axis`), so that reading back is exact. Arrays in
-    `beside` go into the file under their own names; readers of AMASS files pass over them.
+    up="z" is what AMASS and its tools expect: the clip is turned and trans = pelvis_z - J0, with J0 the usual one
+    of SMPL+H. up="y" keeps our world, with trans = pelvis (J0 = 0). J0 and the up axis are stored beside (`pelvis`,
+    `up_axis`), so that reading back is exact. Arrays in `beside` go into the file under their own names; readers of
+    AMASS files pass over them.
 
     Raises:
         ValueError: `up` is neither, the clip is empty or not finite, or `beside` names a key that AMASS has.
@@ -84,7 +82,7 @@ def write_amass(
     frames = clip.frames
     if not frames:
         raise ValueError("a clip of 0 frames should have some, all finite")
-    J0 = np.asarray(pelvis if pelvis is not None else USUAL_PELVIS if up == "z" else np.zeros(3), np.float64)
+    J0 = np.asarray(USUAL_PELVIS if up == "z" else np.zeros(3), np.float64)
 
     def rows(start: int, stop: int) -> dict[str, Array]:
         """Poses and trans of some frames."""

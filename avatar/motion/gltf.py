@@ -240,8 +240,8 @@ def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple
     others = [str(a.get("name", f"number {i}"))[:40] for i, a in enumerate(animations[1:6], 1)]
     rest = f", the first of {len(animations)} ({', '.join(others)} are not read)" if others else ""
     notes.append(f"animation: {title!r}{rest}")
-    samplers = _objects(gltf, animation, "samplers", where)
-    entries = _objects(gltf, animation, "channels", where)
+    samplers = gltf.objects(animation, "samplers", where)
+    entries = gltf.objects(animation, "channels", where)
     channels: dict[tuple[int, str], Channel] = {}
     held: dict[tuple[int, str], Channel] = {}
     left_out: set[str] = set()
@@ -277,13 +277,6 @@ def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple
     if left_out:
         notes.append("scale: animated scales are left out")
     return channels
-
-
-def _objects(gltf: Gltf, holder: JsonObject, key: str, where: str) -> list[JsonObject]:
-    value = holder.get(key)
-    if not isinstance(value, list) or not value or not all(isinstance(v, dict) for v in value):
-        raise gltf.error(f"{where}.{key}", "a list of objects", value)
-    return value
 
 
 def _channel(gltf: Gltf, sampler: JsonObject, path: str, where: str) -> Channel:

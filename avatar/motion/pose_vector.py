@@ -116,9 +116,7 @@ def hand_from_coefficients(
     return coefficients @ body.hands.components[side, :count] + body.hands.mean[side]
 
 
-def check_numbers(
-    path: Path, name: str, values: Float[Array, "frames joints 3"], start: int, first_joint: int = 0
-) -> None:
+def check_numbers(path: Path, name: str, values: Float[Array, "frames joints 3"], start: int) -> None:
     """Refuse frames with a number that is not finite, or so large that its square may not be.
 
     Raises:
@@ -130,7 +128,7 @@ def check_numbers(
         frame, joint, axis = (int(i) for i in np.argwhere(~good)[0])
         value = values[frame, joint, axis]
         found = f"{value:.3g}, expected below {LARGEST:g}," if np.isfinite(value) else "not finite"
-        raise AssetError(f"{path}: {name} is {found} at frame {start + frame}, joint {JOINTS[first_joint + joint]}")
+        raise AssetError(f"{path}: {name} is {found} at frame {start + frame}, joint {JOINTS[joint]}")
 
 
 H = np.sqrt(0.5)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from avatar.body import Body
 from avatar.motion.clip import Motion, RestSkeleton
 from command.errors import AssetError
+from files.input_file import name_order
 
 BUILTIN_MOTIONS = ("counting", "walking")
 MOTIONS_FOLDER = Path(str(files("avatar") / "data" / "motions"))
@@ -90,6 +91,21 @@ def _folder_suffix(path: Path) -> str:
     except OSError as error:
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
     return "*.npz" if any(name.endswith(".npz") for name in names) else "*.json"
+
+
+def frame_files(folder: Path, ending: str, what: str) -> list[Path]:
+    """The files of a folder with this ending, in the order of their names (numbers in them count as numbers).
+
+    Raises:
+        AssetError: the folder cannot be read, or has none.
+    """
+    try:
+        names = [name for name in os.listdir(folder) if name.lower().endswith(ending) and not name.startswith(".")]
+    except OSError as error:
+        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
+    if not names:
+        raise AssetError(f"{folder}: expected {what} ({ending}), found none")
+    return [folder / name for name in sorted(names, key=name_order)]
 
 
 def builtin_motion(name: str) -> Motion:

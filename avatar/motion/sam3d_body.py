@@ -9,7 +9,6 @@ makes our world (y up) of the camera's. Files whose rotations were turned alread
 way the camera leaned is not known: its up is taken for the world's. A photo has no frame rate.
 """
 
-import os
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -20,10 +19,10 @@ from numpy import ndarray as Array
 
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, spread_frames
 from avatar.motion.mhr_rig import MHR_JOINTS, NUMBERS, MhrRig, mhr_alignment, off_bones
+from avatar.motion.read import frame_files
 from avatar.motion.retarget import retarget
 from command.errors import AssetError
 from command.progress import plural
-from files.input_file import name_order
 from files.npz import NpzFile
 
 WHAT = "a result of SAM 3D Body"
@@ -85,7 +84,7 @@ def read_sam3d_body(path: Path | str, skeleton: RestSkeleton | None = None) -> M
 def _opened(path: Path, notes: list[str]) -> tuple[int, Rows, bool]:
     """How many frames there are, what reads a stretch of them, and whether they are placed before the camera."""
     if path.is_dir():
-        files = _files(path)
+        files = frame_files(path, ".npz", "results of SAM 3D Body")
         notes.append(f"frames: {plural(len(files), 'file')} in the order of names, {files[0].name} to {files[-1].name}")
         with closing(NpzFile(files[0], WHAT)) as npz:
             placed = _key(npz, CAMERA_KEYS) is not None
@@ -108,17 +107,6 @@ def _opened(path: Path, notes: list[str]) -> tuple[int, Rows, bool]:
     npz = NpzFile(path, WHAT)
     frames, rows = _fields(npz, "")
     return frames, rows, _key(npz, CAMERA_KEYS) is not None
-
-
-def _files(folder: Path) -> list[Path]:
-    """The .npz files of a folder in the order of their names."""
-    try:
-        names = [name for name in os.listdir(folder) if name.lower().endswith(".npz") and not name.startswith(".")]
-    except OSError as error:
-        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
-    if not names:
-        raise AssetError(f"{folder}: expected results of SAM 3D Body (.npz), found none")
-    return [folder / name for name in sorted(names, key=name_order)]
 
 
 def _key(npz: NpzFile, names: tuple[str, ...]) -> str | None:

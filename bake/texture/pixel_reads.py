@@ -26,6 +26,7 @@ from bake.level import Charted, lifted
 from bake.network import Distilled, SurfacePoints
 from bake.texture.texels import TexelMap, rasterise_charts
 from capture.folder import PartVideo
+from capture.template.hull import moved_camera
 from geometry.cells import nearest_marked
 from geometry.mesh import blended, component_labels
 from player.draw.raster import Fragments, Rasteriser
@@ -200,12 +201,9 @@ def pieces_of_faces(positions: Float[Array, "corners 3"], faces: Integer[Array, 
 def posed_frames(mesh: AtlasMesh, video: PartVideo, head_from_canonical: Float[Array, "4 4"]) -> Iterator[PosedFrame]:
     """The mesh as each frame shows it. The head's video moves rigidly: its cameras are brought to the canonical frame,
     in metres."""
-    scale = np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
     for frame, camera in enumerate(video.cameras):
         if video.axis_angle is None or video.root is None:
-            view = camera.camera_from_world @ head_from_canonical
-            view[:3] /= scale
-            camera = Camera(camera.K, view, camera.size, camera.distortion)
+            camera = moved_camera(camera, head_from_canonical)
             vertices, normals, turns = mesh.positions, mesh.normals, None
         else:
             transforms = skin_transforms(video.axis_angle[frame], mesh.joints, video.root[frame])

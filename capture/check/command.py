@@ -1,6 +1,5 @@
 """`selfscan check`: is this capture usable?"""
 
-import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +10,11 @@ from capture.check.keypoints import Followed, compare_keypoints, keypoint_findin
 from capture.check.options import CheckCommand
 from capture.check.report import CaptureReport, PartReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
-from capture.check.silhouette import even
 from capture.check.verdict import verdict
 from capture.folder import Capture, read_capture
 from capture.raw.four_videos import examine_videos, holds_videos
 from capture.raw.judge import Verdict, verdict_of
+from capture.videos import even
 from command.errors import AssetError
 from files.whole import check_file, check_folder, whole_file, write_json
 
@@ -109,10 +108,8 @@ def _histograms(parts: list[PartReport]) -> list[str]:
 
 def write_face(path: Path, capture: Capture, face: FaceReport) -> None:
     """The face from the front and from either side."""
-    picture = io.BytesIO()
-    Image.fromarray(close_ups(capture, face)).save(picture, format="PNG")
     with whole_file(path) as file:
-        file.write(picture.getvalue())
+        Image.fromarray(close_ups(capture, face)).save(file, format="PNG")
 
 
 def write_overlays(path: Path, capture: Capture, report: CaptureReport) -> None:
@@ -129,7 +126,5 @@ def write_overlays(path: Path, capture: Capture, report: CaptureReport) -> None:
             )
             row.append((caption, overlay(video.images[frame], video.masks[frame], o.parts, o.step)))
         rows.append(row)
-    picture = io.BytesIO()
-    contact_sheet(rows).save(picture, format="PNG")
     with whole_file(path) as file:
-        file.write(picture.getvalue())
+        contact_sheet(rows).save(file, format="PNG")

@@ -15,6 +15,7 @@ from numpy import ndarray as Array
 from avatar.camera import project
 from avatar.skeleton import JOINTS, joint_transforms
 from capture.check.report import CaptureReport
+from capture.fit.directions import opposite
 from capture.folder import Capture
 from capture.keypoints.read import read_keypoints
 from capture.raw.judge import Finding
@@ -95,8 +96,8 @@ def _followed(capture: Capture, part: str, path: Path, metres_per_pixel: float) 
     seen = np.stack([found.seen(name) for name in names], 1)
     joints = joint_transforms(video.axis_angle, capture.subject.joints, video.root)[:, :, :3, 3]
     shown = np.stack([project(camera, at)[0] for camera, at in zip(video.cameras, joints, strict=True)])
-    off = _distances(shown[:, [JOINTS.index(name) for name in names]], seen)
-    other = _distances(shown[:, [JOINTS.index(_mirrored(name)) for name in names]], seen)
+    own = [JOINTS.index(name) for name in names]
+    off, other = _distances(shown[:, own], seen), _distances(shown[:, opposite(JOINTS)[own]], seen)
     if not np.isfinite(off).any():
         raise AssetError(f"{path}: no point has a confidence above {SURE:g}")
     with_points = np.isfinite(off).any(1)
@@ -114,8 +115,3 @@ def _followed(capture: Capture, part: str, path: Path, metres_per_pixel: float) 
 def _distances(shown: Float[Array, "frames n 2"], seen: Float[Array, "frames n 3"]) -> Float[Array, "frames n"]:
     """Pixels between joints and points; NaN where the point is not sure."""
     return np.where(seen[:, :, 2] > SURE, np.linalg.norm(shown - seen[:, :, :2], axis=-1), np.nan)
-
-
-def _mirrored(name: str) -> str:
-    side, _, rest = name.partition("_")
-    return {"left": "right", "right": "left"}[side] + "_" + rest if side in ("left", "right") else name

@@ -12,10 +12,11 @@ from avatar.skeleton import PARTS
 from capture.check.coverage import Coverage, coverage
 from capture.check.face import FaceReport, face_report
 from capture.check.pictures import Clipping, blurred, exposure, missing, repeated, sharpness
-from capture.check.silhouette import Agreement, TemplateOutline, agreement, even, outline, posed_template
+from capture.check.silhouette import Agreement, TemplateOutline, agreement, outline, posed_template
 from capture.check.unseen import UnseenPlace, frames_that_see, unseen_places
 from capture.folder import Capture
 from capture.template.surface import visible_faces
+from capture.videos import even
 
 # frames of each video whose outlines are compared, at most
 COMPARED = 40

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Int, UInt8
 from numpy import ndarray as Array
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageOps
 from scipy import ndimage
 
 from avatar.skeleton import PARTS
@@ -36,7 +36,10 @@ def _eroded(area: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
 def contact_sheet(rows: list[list[tuple[str, UInt8[Array, "height width 3"]]]], side: int = 320) -> Image.Image:
     """Pictures in rows, each with its caption above."""
     line = 16
-    fitted = [[(caption, _fitted(picture, side)) for caption, picture in row] for row in rows]
+    fitted = [
+        [(caption, ImageOps.contain(Image.fromarray(picture), (side, side))) for caption, picture in row]
+        for row in rows
+    ]
     heights = [line + max(image.height for _, image in row) for row in fitted]
     sheet = Image.new("RGB", (max(map(len, rows)) * side, sum(heights)))
     draw = ImageDraw.Draw(sheet)
@@ -45,10 +48,3 @@ def contact_sheet(rows: list[list[tuple[str, UInt8[Array, "height width 3"]]]], 
             sheet.paste(image, (c * side, top + line))
             draw.text((c * side + 3, top + 2), caption, fill=(255, 255, 255))
     return sheet
-
-
-def _fitted(picture: UInt8[Array, "height width 3"], side: int) -> Image.Image:
-    """The picture, its longer side at the given length."""
-    image = Image.fromarray(picture)
-    scale = side / max(image.size)
-    return image.resize((round(image.width * scale), round(image.height * scale)))

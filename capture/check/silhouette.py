@@ -13,6 +13,7 @@ from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import Capture
+from capture.videos import even
 from geometry.cells import distance_to, nearest_marked
 from geometry.rasterise import rasterise
 
@@ -69,11 +70,6 @@ def _outline_error(capture: Capture, part: str, frames: int) -> float:
 def common(pixels: float, rows: int) -> float:
     """Pixels of an image of so many rows as pixels of one 256 high; a smaller image is as coarse as it is."""
     return pixels * 256 / max(rows, 256)
-
-
-def even(count: int, wanted: int) -> list[int]:
-    """At most `wanted` of `count` frames, evenly spread."""
-    return [int(i) for i in np.unique(np.linspace(0, count, wanted, endpoint=False).astype(int))]
 
 
 def outline(capture: Capture, part: str, frame: int) -> TemplateOutline:

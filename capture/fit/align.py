@@ -30,6 +30,7 @@ from avatar.skinning import dense_weights, skin_points
 from capture.fit.contours import Contour, pixel_contour
 from capture.fit.outline import ShapeCells, placement
 from capture.folder import CaptureSubject, PartVideo
+from capture.videos import even
 from geometry.least_squares import NormalEquations, robust_weight
 from geometry.mesh import vertex_normals
 from geometry.rasterise import FaceBuffer, rasterise
@@ -249,8 +250,8 @@ def outline_offset(video: PartVideo, subject: CaptureSubject, frames: int = 8) -
     scale = video.masks.shape[1] / 256
     scene = _Scene(video, subject, np.zeros(0, int), _near_faces(subject, PARTS.index(video.part)))
     found = []
-    for f in np.unique(np.linspace(0, len(video.masks), frames, endpoint=False).astype(int)):
-        view = _view(scene, int(f), matrix_from_axis_angle(video.axis_angle[f]), video.root[f], slide=False)
+    for f in even(len(video.masks), frames):
+        view = _view(scene, f, matrix_from_axis_angle(video.axis_angle[f]), video.root[f], slide=False)
         template, mask = view.outline, pixel_contour(video.masks[f])
         if len(template.at) == 0 or len(mask.at) == 0:
             continue

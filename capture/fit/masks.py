@@ -6,7 +6,6 @@ like to cross edges of color (Grady, Random Walks for Image Segmentation, 2006) 
 it ends half-way, near where only the offset would put the edge, and those pixels count as unsure.
 """
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
@@ -15,12 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 from scipy import ndimage
-from skimage.segmentation import random_walker
 
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
 from capture.fit.align import outline_offset
 from capture.folder import CaptureSubject, PartVideo
+from capture.raw.masks import CONTRAST, walk
 from geometry.cells import distance_to
 from geometry.rasterise import rasterise
 
@@ -29,8 +28,6 @@ BELIEVED = 0.9
 MEASURED_AGAIN = 2
 # pixels beyond the expected edge from where a pixel is surely on its side
 MARGIN = 1.0
-# beta of the random walk: how little it likes to cross edges of color, at the picture's deviation
-CONTRAST = 130.0
 # probabilities of being the person within this of a half supervise nothing
 UNSURE = 0.25
 
@@ -105,13 +102,8 @@ def edge_by_colors(
     colors = image / 255.0
     # what is walked on is scaled by the deviation of its colors
     beta = CONTRAST * colors[window].std() / max(colors.std(), 1e-6)
-    with warnings.catch_warnings():
-        # a pixel that no seed reaches keeps probability 0 of either: unsure
-        warnings.simplefilter("ignore")
-        walked = random_walker(
-            colors[window], np.where(near, labels, -1)[window], beta=beta, mode="cg_j", tol=1e-3,
-            return_full_prob=True, channel_axis=-1,
-        )  # fmt: skip
+    # a pixel that no seed reaches keeps probability 0 of either: unsure
+    walked = walk(colors[window], np.where(near, labels, -1)[window], beta)
     probability = np.stack([person, beside]).astype(float)
     probability[(slice(None), *window)][:, near[window]] = walked[:, near[window]]
     share = probability[0] / np.maximum(probability.sum(0), 1e-9)

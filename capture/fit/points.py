@@ -96,7 +96,9 @@ def _surface_points() -> dict[str, list[int]]:
             for number, sign in ((of_left, 1), (of_right, -1)):
                 rim = left_rim if sign > 0 else right_rim
                 among = rim if places is EYE else front
-                found[f"face_{number:02d}"] = [_in_front(x, among, MIDDLE + sign * across, height)]
+                # the nearest as seen from the front
+                away = np.hypot(x[among, 0] - (MIDDLE + sign * across), x[among, 1] - height)
+                found[f"face_{number:02d}"] = [int(among[away.argmin()])]
     found["nose"] = found["face_30"]
     head = np.flatnonzero(weights[:, HEAD] > 0.5)
     for side, sign, socket in zip(SIDES, (1, -1), body_sockets()):
@@ -117,8 +119,3 @@ def _surface_points() -> dict[str, list[int]]:
             away = np.linalg.norm(x[own] - body.joints[last], axis=1)
             found[f"{side}_{finger}_tip"] = [int(own[away.argmax()])]
     return found
-
-
-def _in_front(x: Float[Array, "vertices 3"], front: Int[Array, "n"], across: float, height: float) -> int:
-    """The vertex of the face that is nearest to a place, as seen from the front."""
-    return int(front[np.hypot(x[front, 0] - across, x[front, 1] - height).argmin()])

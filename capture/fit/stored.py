@@ -35,10 +35,8 @@ def write_estimate(path: Path, estimate: Estimate, inputs: str) -> None:
 
 def read_estimate(path: Path, person: Person, inputs: str) -> Estimate | None:
     """The finished step, if it is there and was made from the same."""
-    if not path.is_file():
-        return None
-    fields = read_npz(path, "a step of a fit", FIELDS)
-    if str(fields["inputs"]) != inputs:
+    fields = _stored(path, FIELDS, inputs)
+    if fields is None:
         return None
     arrays = {name: fields[name] for name in ARRAYS}
     return Estimate(person.with_offsets(fields["offsets"]), log_focal=float(fields["log_focal"]), **arrays)
@@ -52,9 +50,10 @@ def write_focal(path: Path, focal: Focal, inputs: str) -> None:
 
 def read_focal(path: Path, inputs: str) -> Focal | None:
     """The focal length, if it was found and from the same."""
-    if not path.is_file():
-        return None
-    fields = read_npz(path, "a step of a fit", ("shorter_sides", "sigma", "inputs"))
-    if str(fields["inputs"]) != inputs:
-        return None
-    return Focal(float(fields["shorter_sides"]), float(fields["sigma"]))
+    fields = _stored(path, ("shorter_sides", "sigma", "inputs"), inputs)
+    return None if fields is None else Focal(float(fields["shorter_sides"]), float(fields["sigma"]))
+
+
+def _stored(path: Path, names: tuple[str, ...], inputs: str) -> dict[str, Array] | None:
+    fields = read_npz(path, "a step of a fit", names) if path.is_file() else None
+    return fields if fields and str(fields["inputs"]) == inputs else None

@@ -1,15 +1,15 @@
 """Opening keypoints: a file or a folder with a file a frame goes to the adapter that knows it."""
 
-import os
 from pathlib import Path
 
 from avatar.motion.landmark_file import is_mediapipe, read_landmarks
+from avatar.motion.read import frame_files
 from capture.keypoints.coco_wholebody import is_wholebody, wholebody_keypoints
 from capture.keypoints.mediapipe import mediapipe_keypoints
 from capture.keypoints.openpose import is_openpose, openpose_keypoints
 from capture.keypoints.record import Keypoints
 from command.errors import AssetError
-from files.input_file import name_order, read_json
+from files.input_file import read_json
 
 WHAT = "keypoints (OpenPose, COCO-WholeBody, MediaPipe)"
 
@@ -25,7 +25,7 @@ def read_keypoints(path: Path | str, *, size: tuple[int, int] | None = None) -> 
     """
     path = Path(path)
     notes: list[str] = []
-    files = _files(path)
+    files = frame_files(path, ".json", WHAT) if path.is_dir() else [path]
     first = read_json(files[0], WHAT)
     if is_openpose(first) or is_wholebody(first):
         frames = [(file, first if k == 0 else read_json(file, WHAT)) for k, file in enumerate(files)]
@@ -36,16 +36,3 @@ def read_keypoints(path: Path | str, *, size: tuple[int, int] | None = None) -> 
         frames, facts = read_landmarks(files[0], notes)
         return mediapipe_keypoints(files[0], frames, facts, size, notes)
     raise AssetError(f"{files[0]}: expected {WHAT}, found JSON of another kind")
-
-
-def _files(path: Path) -> list[Path]:
-    """The files of frames, in order; a file alone is one."""
-    if not path.is_dir():
-        return [path]
-    try:
-        names = [n for n in os.listdir(path) if n.lower().endswith(".json") and n[0] != "."]
-    except OSError as error:
-        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
-    if not names:
-        raise AssetError(f"{path}: expected {WHAT}, .json files, found none")
-    return [path / name for name in sorted(names, key=name_order)]

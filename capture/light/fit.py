@@ -97,11 +97,11 @@ def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:
         return LightFit({}, np.nan, np.nan, len(few.face))
 
     problems = {gamma: _Problem(few, together, gamma) for gamma in GAMMAS}
-    gamma, best, left = _best_gamma(problems, {gamma: _fit_one_lamp(problem) for gamma, problem in problems.items()})
+    gamma, best, left = _best_gamma(problems, {g: _with_lamp(one, UNLIT, 0.5) for g, one in problems.items()})
     without = problems[gamma].shown_residual(problems[gamma].solve([UNLIT]).lights)
     none = LightFit({}, 255 * without, 255 * without, len(few.face))
     clear = left < (1 - CLEAR) * without and best.lights[0].strongest > FAINT
-    more, groups = _add_lamp(problems[gamma], best), together
+    more, groups = _with_lamp(problems[gamma], best.lights[0], 0.3 * best.lights[0].ambient), together
     if more.residual < (1 - CLEAR) * best.residual and more.lights[0].weakest > FAINT:
         gamma, best, left = _best_gamma(problems, {g: one.solve(more.lights) for g, one in problems.items()})
         clear = clear or left < (1 - 2 * CLEAR) * without
@@ -118,7 +118,7 @@ def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:
     if not left < (1 - CLEAR) * unlit:
         # what a few pixels said does not hold for all
         return none
-    scale = whole.mean_shading(best.lights)
+    scale = float(whole.factors(best.lights)[0].mean())
     if not max(one.brightest for one in best.lights) < STRONGEST * scale:
         # nearly nothing of what is seen stands in it
         return none
@@ -209,9 +209,6 @@ class _Problem:
             shading[own] = light.shading(self.normal[own])
             highlight[own] = light.highlight(self.normal[own], self.towards_eye[own]) + self.sheens[own] @ one.sheen
         return shading, highlight
-
-    def mean_shading(self, lights: Sequence[_Parameters]) -> float:
-        return float(self.factors(lights)[0].mean())
 
     def per_face(self, values: Float[Array, "n"]) -> Float[Array, "faces"]:
         return np.bincount(self.face, values, len(self.faces))
@@ -320,19 +317,9 @@ def _best_gamma(problems: dict[float, "_Problem"], found: dict[float, _Solved]) 
     return gamma, found[gamma], left[gamma]
 
 
-def _fit_one_lamp(problem: _Problem) -> _Solved:
-    """The best of a few lamps in front of the person, each followed a few steps, then to its end."""
-    return _best_of(problem, [_Parameters(1.0, 0.5 * d[None]) for d in DIRECTIONS])
-
-
-def _add_lamp(problem: _Problem, found: _Solved) -> _Solved:
-    """One more lamp beside those found."""
-    one = found.lights[0]
-    more = [np.concatenate([one.lamps, 0.3 * one.ambient * d[None]]) for d in DIRECTIONS]
-    return _best_of(problem, [replace(one, lamps=lamps) for lamps in more])
-
-
-def _best_of(problem: _Problem, starts: Sequence[_Parameters]) -> _Solved:
+def _with_lamp(problem: _Problem, one: _Parameters, strength: float) -> _Solved:
+    """One more lamp: the best of a few round the person, each followed a few steps, then to its end."""
+    starts = [replace(one, lamps=np.concatenate([one.lamps, strength * d[None]])) for d in DIRECTIONS]
     tried = [problem.solve([start], rounds=3) for start in starts]
     best = min(tried, key=lambda one: one.residual)
     return problem.solve(best.lights)

@@ -10,9 +10,10 @@ from scipy import ndimage
 from avatar.camera import Camera, pixel_rays
 from avatar.light import Frame
 from avatar.skeleton import PARTS
-from capture.check.silhouette import canonical_from_head, even, posed_template
+from capture.check.silhouette import canonical_from_head, posed_template
 from capture.folder import Capture
 from capture.light.frames import light_from_video
+from capture.videos import even
 from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
 

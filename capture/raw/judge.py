@@ -123,7 +123,7 @@ def judge(at: Glance) -> Judged:
 
     part, found = at.part, at.found
     empty = empty_frames(at)
-    own = _own_points(at)
+    own = at.keypoints.confidence[:, _columns(at, LIMBS[at.part])] > SURE
     clear = found & (own.sum(1) >= 3)
     # from behind a head shows no face, but its outline
     whole = found if part == "head" else clear
@@ -141,7 +141,8 @@ def judge(at: Glance) -> Judged:
         if other:
             advice = "is it the other hand's, or mirrored, as by a front camera? exchange LEFT and RIGHT, or mirror it"
         add(True, f"{CALLED[part]} is confidently found in {int(clear.sum())} of {int(found.sum())} frames", advice)
-    several = _several_people(at)
+    others = at.keypoints.others
+    several = np.zeros(len(at.times), bool) if others is None else others > 0.3
     if several.mean() > MOST:
         add(True, f"two people are in view {_when(at, several)}", "film one person alone")
     elif several.any() and several.mean() > SOME:
@@ -237,11 +238,9 @@ def _stands(at: Glance) -> Array:
     return np.unique(np.linspace(0, len(at.times) - 1, STANDS).astype(int))
 
 
-def _own_points(at: Glance) -> Bool[Array, "frames points"]:
-    """Which points of the video's own part are sure."""
-    names = [name for name in LIMBS[at.part] if name in at.keypoints.names]
-    columns = [at.keypoints.names.index(name) for name in names]
-    return at.keypoints.confidence[:, columns] > SURE
+def _columns(at: Glance, wanted: tuple[str, ...]) -> list[int]:
+    """Where those of the wanted points stand that the detector has."""
+    return [at.keypoints.names.index(name) for name in wanted if name in at.keypoints.names]
 
 
 def _turn(at: Glance) -> str | None:
@@ -268,22 +267,14 @@ def _other_hand(at: Glance, whole: Bool[Array, "frames"]) -> bool:
     """Whether a hand's video shows the other hand."""
     if not at.part.startswith("hand"):
         return False
-    other = SIDES[at.part.endswith("left")]
-    names = [name for name in hand_points(other) if name in at.keypoints.names]
-    sure = at.keypoints.confidence[:, [at.keypoints.names.index(name) for name in names]] > SURE
+    sure = at.keypoints.confidence[:, _columns(at, hand_points(SIDES[at.part.endswith("left")]))] > SURE
     return bool((sure.sum(1) >= 3).sum() > 2 * whole.sum() + 8)
-
-
-def _several_people(at: Glance) -> Bool[Array, "frames"]:
-    others = at.keypoints.others
-    return np.zeros(len(at.times), bool) if others is None else others > 0.3
 
 
 def _cut_off(at: Glance, own: Bool[Array, "frames points"]) -> Bool[Array, "frames"]:
     """Frames in which a sure point of the part lies at the picture's border or beyond it, or where most points are lost
     after they came near it."""
-    names = [name for name in LIMBS[at.part] if name in at.keypoints.names]
-    columns = [at.keypoints.names.index(name) for name in names]
+    columns = _columns(at, LIMBS[at.part])
     pixels, sure = at.keypoints.pixels[:, columns], at.keypoints.confidence[:, columns] > SURE
     room = BORDER * min(at.video.size)
     with np.errstate(invalid="ignore"):
@@ -299,8 +290,7 @@ def _cut_off(at: Glance, own: Bool[Array, "frames points"]) -> Bool[Array, "fram
 
 def _side_of_cut(at: Glance, frames: Bool[Array, "frames"]) -> str:
     """Where the person is nearest to the border in these frames."""
-    names = [name for name in LIMBS[at.part] if name in at.keypoints.names]
-    columns = [at.keypoints.names.index(name) for name in names]
+    columns = _columns(at, LIMBS[at.part])
     # a little longer: where nothing is found any more, the frames before decide
     rows = np.asarray(ndimage.binary_dilation(frames, iterations=6), bool)
     sure = at.keypoints.confidence[rows][:, columns] > SURE

@@ -11,7 +11,7 @@ the three colors (Smith and Blinn, Blue Screen Matting, 1996):
 import warnings
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray as Array
 from scipy import ndimage
 from skimage.segmentation import random_walker
@@ -30,7 +30,7 @@ EVEN, SHARP = 4.0, 1.0
 CERTAIN = 0.96
 # the darkest shadow that the floor may get, and the walls, as a share of their light
 DARKEST, WALL_DARKEST = 0.5, 0.92
-# beta of the walk, as in capture/fit/masks.py
+# beta of the random walk: how little it likes to cross edges of color, at the picture's deviation
 CONTRAST = 130.0
 # pixels of 1080 on either side of the edge in which pixels are mixtures
 RIM = 3.5
@@ -168,11 +168,7 @@ def _walked(
         return person
     if (labels == 0).any():
         beta = CONTRAST / max(float(colors.std()) / 0.2, 1e-3)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            walked = random_walker(
-                colors, labels, beta=beta, mode="cg_j", tol=1e-3, return_full_prob=True, channel_axis=-1
-            )[0]
+        walked = walk(colors, labels, beta)[0]
     else:
         walked = (labels == 1).astype(float)
     zoom = (image.shape[0] / walked.shape[0], image.shape[1] / walked.shape[1])
@@ -181,6 +177,17 @@ def _walked(
     near = ndimage.gaussian_filter(np.abs(wide - 0.5), 1) < 0.48
     sharp = near & known & ((person > CERTAIN) | (person < 1 - CERTAIN))
     return np.where(sharp, person, wide)
+
+
+def walk(
+    colors: Float[Array, "height width 3"], labels: Int[Array, "height width"], beta: float
+) -> Float[Array, "seeds height width"]:
+    """Probability of each seed's label, 1 and on, at every pixel; none where no seed reaches, and at labels -1."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return random_walker(
+            colors, labels, beta=beta, mode="cg_j", tol=1e-3, return_full_prob=True, channel_axis=-1
+        )  # fmt: skip
 
 
 def _whole(inside: Bool[Array, "height width"], keypoints: Keypoints, frame: int) -> Bool[Array, "height width"]:

@@ -15,10 +15,9 @@ from numpy import ndarray as Array
 
 from avatar.camera import Camera
 from avatar.skeleton import PARTS
+from capture.frame_files import sized_picture
 from capture.keypoints.record import Keypoints
 from capture.read.template import TemplateMesh
-from command.errors import AssetError
-from files.picture import read_picture
 
 
 @dataclass(frozen=True)
@@ -55,10 +54,7 @@ class RawVideo:
         Raises:
             AssetError: the file cannot be read or has another size.
         """
-        pixels = read_picture(self.pictures[i])
-        if pixels.shape[1::-1] != self.size:
-            raise AssetError(f"{self.pictures[i]}: should be {self.size} pixels, is {pixels.shape[1::-1]}")
-        return pixels
+        return sized_picture(self.pictures[i], self.size, "as the video")
 
 
 @dataclass(frozen=True)

@@ -7,22 +7,16 @@ import numpy as np
 from numpy import ndarray as Array
 
 from command.errors import AssetError
+from files import npz
 from files.npz import read_npy
 
 
 def numbers(path: Path, what: str, shape: tuple[int | None, ...]) -> Array:
     """A numeric array file as float64 of the given shape (None: any)."""
     array = read_npy(path, what)
-    if isinstance(array, list) or array.dtype.kind not in "fiu":
-        raise AssetError(
-            f"{path}: expected {what}, numbers, found {'objects' if isinstance(array, list) else array.dtype}"
-        )
-    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape)):
-        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise AssetError(f"{path}: {what} should be {expected}, is {array.shape}")
-    if not np.isfinite(array).all():
-        raise AssetError(f"{path}: {what} is not finite")
-    return array.astype(np.float64)
+    if isinstance(array, list):
+        raise AssetError(f"{path}: expected {what}, numbers, found objects")
+    return npz.field(path, {what: array}, what, shape).astype(np.float64)
 
 
 def record(path: Path, what: str) -> dict[str, Any]:

@@ -97,7 +97,8 @@ def _fitted_video(
 ) -> SourceVideo:  # fmt: skip
     """A video of body or hand: its poses about the template's joints, the world turned so that +y is up."""
     images = tuple(image for image, _ in files)
-    camera = _world_camera(folder, images[0])
+    name = images[0].parent.name if images[0].parent.name != "images" else None
+    camera = read_easymocap_camera(folder, name, picture_size(images[0]))
     video_notes: list[str] = []
     turn = matrix_from_quaternion(np.array(TURNS[up_axis(upright_of(fit.Rh), video_notes)]))
     notes += [f"{folder.name}: {note}" for note in video_notes]
@@ -166,12 +167,6 @@ def _result_folder(folder: Path) -> Path:
             f"{sorted(str(path.relative_to(folder)) for path in found) or 'none'}"
         )
     return found[0]
-
-
-def _world_camera(folder: Path, image: Path) -> Camera:
-    """The camera of a video, in EasyMocap's world."""
-    name = image.parent.name if image.parent.name != "images" else None
-    return read_easymocap_camera(folder, name, picture_size(image))
 
 
 def _check_shapes(files: list[tuple[Path, Path]], shapes: Float[Array, "frames n"], body: Body) -> None:

@@ -11,6 +11,7 @@ from PIL import Image
 from avatar.camera import Camera, project, write_cameras
 from avatar.skeleton import PARTS, joint_transforms
 from capture.folder import read_capture
+from capture.frame_files import sized_picture
 from capture.read.template import TemplateMesh, write_template
 from command.errors import AssetError
 from command.progress import Progress
@@ -63,7 +64,7 @@ def write_capture(
                 (folder / part / kind).mkdir(parents=True)
             for i, (image, mask, camera) in enumerate(zip(video.images, video.masks, video.cameras)):
                 name = f"{i:06d}.png"
-                picture = read_frame(image, camera.size)
+                picture = sized_picture(image, camera.size, "as its camera and the first frame")
                 Image.fromarray(picture).save(folder / part / "images" / name, compress_level=1)
                 if video.soft:
                     share = read_picture(mask, "L")
@@ -94,24 +95,14 @@ def write_capture(
             raise AssetError(str(error).replace(str(folder), str(out))) from None
 
 
-def read_frame(path: Path, size: tuple[int, int]) -> Array:
-    """A frame, RGB; AssetError where it is not `size` (width, height) pixels as its camera says."""
-    pixels = read_picture(path)
-    if pixels.shape[1::-1] != size:
-        raise AssetError(f"{path}: should be {size} pixels as its camera and the first frame, is {pixels.shape[1::-1]}")
-    return pixels
-
-
 def read_mask(path: Path, size: tuple[int, int], *, any_value: bool) -> Bool[Array, "height width"]:
     """Where the person is. The first channel counts; labels of body parts are values too (`any_value`).
 
     A mask without a value above 1 holds 0 and 1; otherwise, and in JPEG files always, which ring round edges, more
     than half of the largest value is the person.
     """
-    pixels = read_picture(path, None)
+    pixels = sized_picture(path, size, "as its picture", None)
     pixels = pixels if pixels.ndim == 2 else pixels[..., 0]
-    if pixels.shape[1::-1] != size:
-        raise AssetError(f"{path}: mask should be {size} pixels as its picture, is {pixels.shape[1::-1]}")
     most = int(pixels.max(initial=0))
     if most <= 1 or (any_value and path.suffix.lower() == ".png"):
         return pixels > 0

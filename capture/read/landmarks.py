@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.optimize import least_squares
 
 from avatar.camera import Camera, pixel_rays, project
 from command.errors import AssetError
@@ -61,7 +62,7 @@ def triangulated(place: str, cameras: list[Camera], pixels: Float[Array, "views 
     """The point whose pictures lie nearest to `pixels`, and their distance in pixels, root mean square.
 
     First the linear solution (DLT, Hartley and Zisserman 2004, 12.2) on undistorted rays, u x (R X + t) = 0, each
-    camera's rows weighted by its focal length; then Gauss-Newton on the pixels themselves, lens included.
+    camera's rows weighted by its focal length; then least squares of the pixels themselves, lens included.
 
     Raises:
         AssetError: fewer than two views, rays within LEAST_ANGLE of each other, a point behind a camera, pixels
@@ -84,8 +85,7 @@ def triangulated(place: str, cameras: list[Camera], pixels: Float[Array, "views 
         rows += [camera.K[0, 0] * (x * P[2] - P[0]), camera.K[1, 1] * (y * P[2] - P[1])]
     A = np.stack(rows)
     point = np.linalg.lstsq(A[:, :3], -A[:, 3], rcond=None)[0]
-    for _ in range(5):
-        point = point - np.linalg.lstsq(_slope(cameras, point), _missed(cameras, pixels, point), rcond=None)[0]
+    point = least_squares(lambda at: _missed(cameras, pixels, at), point, method="lm", xtol=1e-14, ftol=1e-14).x
     depth = min(float(project(camera, point[None])[1][0]) for camera in cameras)
     if not depth > 0:
         raise AssetError(f"{place} should lie before its cameras, its pixels meet behind one")
@@ -101,16 +101,3 @@ def triangulated(place: str, cameras: list[Camera], pixels: Float[Array, "views 
 
 def _missed(cameras: list[Camera], pixels: Float[Array, "views 2"], point: Float[Array, "3"]) -> Array:
     return (np.concatenate([project(camera, point[None])[0] for camera in cameras]) - pixels).ravel()
-
-
-def _slope(cameras: list[Camera], point: Float[Array, "3"]) -> Array:
-    """Derivative of the pixels by the point, central differences of a millionth of its distance."""
-    step = 1e-6 * float(np.mean([np.linalg.norm(point - camera.eye) for camera in cameras]))
-    columns = []
-    for axis in np.eye(3):
-        ends = [
-            np.concatenate([project(camera, (point + sign * step * axis)[None])[0] for camera in cameras]).ravel()
-            for sign in (1, -1)
-        ]
-        columns.append((ends[0] - ends[1]) / (2 * step))
-    return np.stack(columns, 1)

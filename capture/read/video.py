@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image
 
 from avatar.skeleton import PARTS
+from capture.frame_files import sized_picture
 from capture.keypoints.record import Keypoints
 from capture.raw.four_videos import NAMES, judge_videos, part_keypoints
 from capture.raw.glance import Glance
@@ -151,9 +152,7 @@ def _given_masks(folder: Path, at: Glance, chosen: KeptFrames, paths: list[Path]
             f"{place}: expected a mask for each of {len(at.times)} frames of {at.video.name}, found {len(files)}"
         )
     for number, path in zip(chosen.frames, paths, strict=True):
-        mask = read_picture(files[number], "L")
-        if mask.shape[::-1] != at.video.size:
-            raise AssetError(f"{files[number]}: mask should be {at.video.size} pixels, is {mask.shape[::-1]}")
+        mask = sized_picture(files[number], at.video.size, "as the video", "L")
         if mask.max(initial=0) <= 1:
             mask = 255 * mask
         if not mask.any():

@@ -23,8 +23,9 @@ from avatar.kinematics import pixel_rows
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject, PartVideo
 from capture.register.placement import PlaceEquations, refine
-from capture.template.hull import moved_camera
+from capture.template.hull import head_cameras
 from capture.template.surface import neck_height, visible_faces
+from capture.videos import even
 from geometry.icp import Anchors
 from geometry.least_squares import robust_cost, robust_weight
 from geometry.mesh import vertex_normals
@@ -71,9 +72,8 @@ def place_by_consistency(
     vertex = np.flatnonzero(chosen)
     normals = vertex_normals(subject.vertices, subject.faces)[vertex]
     # the template moves under cameras that stay: S
-    head_from_canonical = np.linalg.inv(canonical_from_head)
-    used = np.unique(np.linspace(0, len(video.images), min(FRAMES, len(video.images)), endpoint=False).astype(int))
-    cameras = [moved_camera(video.cameras[i], head_from_canonical) for i in used]
+    used = even(len(video.images), FRAMES)
+    cameras = [head_cameras(video, canonical_from_head)[i] for i in used]
     images, masks = [video.images[i] for i in used], [video.masks[i] for i in used]
     centre = subject.vertices[vertex].mean(0)
     back = Anchors(anchors.target, anchors.source, anchors.spread)
@@ -82,6 +82,7 @@ def place_by_consistency(
         frames = [_blurred(image, mask, blur) for image, mask in zip(images, masks)]
 
         def equations_at(S: Float[Array, "4 4"], frames=frames) -> PlaceEquations:
+            """What all frames and the landmarks say at a place."""
             placed = subject.vertices @ S[:3, :3].T + S[:3, 3]
             turned = normals @ (S[:3, :3] / np.cbrt(np.linalg.det(S[:3, :3]))).T
             rows = [

@@ -23,8 +23,9 @@ from avatar.camera import Camera, project
 from avatar.kinematics import pixel_rows
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject, PartVideo
-from capture.template.hull import moved_camera
+from capture.template.hull import head_cameras
 from capture.template.surface import neck_height
+from capture.videos import even
 from geometry.icp import INDEPENDENT, Anchors
 from geometry.least_squares import robust_weight
 from geometry.mesh import vertex_normals
@@ -67,9 +68,8 @@ def height_by_outline(
     Raises:
         ValueError: hardly any bare skin is on an outline, or the answer lies farther than MOST away.
     """
-    head_from_canonical = np.linalg.inv(canonical_from_head)
-    used = np.unique(np.linspace(0, len(video.images), min(FRAMES, len(video.images)), endpoint=False).astype(int))
-    cameras = [moved_camera(video.cameras[i], head_from_canonical) for i in used]
+    used = even(len(video.images), FRAMES)
+    cameras = [head_cameras(video, canonical_from_head)[i] for i in used]
     edges = [edge_distance(video.masks[i]) for i in used]
     bare = (subject.part == PARTS.index("head")) & ~subject.hair
     bare &= subject.vertices[:, 1] > neck_height(subject) + NECK

@@ -20,7 +20,7 @@ from scipy import ndimage
 from avatar.camera import Camera, project
 from capture.folder import CaptureSubject, PartVideo
 from capture.template.eyes import EyeSpheres, eye_covers, eye_spheres, face_forward, first_hits
-from capture.template.hull import moved_camera
+from capture.template.hull import head_cameras
 from geometry.least_squares import robust_cost, robust_weight
 
 # half-angles that are tried: an iris of 3 to 9 mm radius; 0 is the sphere
@@ -82,11 +82,10 @@ def fit_iris(
     if spheres is None:
         return None
     forward = face_forward(subject)
-    head_from_canonical = np.linalg.inv(canonical_from_head)
     views = [
-        (moved, image)
-        for camera, image in zip(video.cameras, video.images)
-        if _looks_at(moved := moved_camera(camera, head_from_canonical), spheres.centres.mean(0), forward)
+        (camera, image)
+        for camera, image in zip(head_cameras(video, canonical_from_head), video.images)
+        if _looks_at(camera, spheres.centres.mean(0), forward)
     ]
     middles = subject.vertices[subject.faces].mean(1)
     sums = np.zeros((len(ANGLES), 2))

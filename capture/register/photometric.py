@@ -25,10 +25,15 @@ from avatar.skinning import skin_points
 from capture.fit.pixels import compare_pixels
 from capture.folder import CaptureSubject, PartVideo
 from capture.register.placement import PlaceEquations, refine
+from capture.videos import even
 from geometry.icp import Anchors
 from geometry.rasterise import rasterise
 
 HEAD = JOINTS.index("head")
+FRAMES = 20  # at most, spread over the video
+ROUNDS = 8
+# metres: farther than this the start was wrong
+MOST = 0.03
 # drawn so many times finer than the frame, then averaged
 FINER = 2
 # pixels around the drawn head that count: farther is background or someone else
@@ -61,41 +66,41 @@ class VideoFit(NamedTuple):
 
 def refine_on_video(
     subject: CaptureSubject, head: ColoredHead, video: PartVideo, start: Float[Array, "4 4"], anchors: Anchors,
-    *, frames: int = 20, rounds: int = 8, most: float = 0.03,
 ) -> VideoFit:  # fmt: skip
     """The similarity `start` of the head, refined until what it draws lies on the pixels of the body's video.
 
     Raises:
         ValueError: the head is in no frame, or the answer does not lie nearer to the pixels, or moves the head by
-            more than `most` metres: the start, the poses or the masks are wrong.
+            more than MOST metres: the start, the poses or the masks are wrong.
     """
     shown = np.zeros(len(subject.vertices), bool)
     shown[head.vertices] = True
     colors = np.zeros((len(subject.vertices), 3))
     colors[head.vertices] = head.colors
     scene = _PaintedTemplate(subject, np.asarray(shown[subject.faces].all(1), bool), colors[subject.faces].mean(1))
-    chosen = np.unique(np.linspace(0, len(video.images), min(frames, len(video.images)), endpoint=False).astype(int))
+    chosen = even(len(video.images), FRAMES)
 
     def equations_at(transform: Float[Array, "4 4"]) -> PlaceEquations:
+        """What the pixels of all frames and the landmarks say at a place."""
         placed = subject.vertices.copy()
         placed[head.vertices] = head.points @ transform[:3, :3].T + transform[:3, 3]
         equations = PlaceEquations(transform, placed[head.vertices].mean(0))
         equations.add_landmarks(anchors)
         for frame in chosen:
-            _add_frame(equations, scene, placed, video, int(frame))
+            _add_frame(equations, scene, placed, video, frame)
         if equations.count == 0:
             raise ValueError("the body's video shows no head")
         return equations
 
-    tried, _ = refine(start, equations_at, rounds + 1)
+    tried, _ = refine(start, equations_at, ROUNDS + 1)
     before, after, answer = tried[0].residual, tried[-1].residual, tried[-1].transform
     # the anchors and a changing set of pixels may cost a little
     if not after <= 1.05 * before:
         raise ValueError(f"the pixels of the body's video fit worse than before ({before:.4f} -> {after:.4f})")
     moved = (head.points @ (answer - start)[:3, :3].T + (answer - start)[:3, 3]).astype(float)
     shift = float(np.linalg.norm(moved, axis=1).max())
-    if shift > most:
-        raise ValueError(f"the body's video would move the head by {shift:.3f} m, more than {most}")
+    if shift > MOST:
+        raise ValueError(f"the body's video would move the head by {shift:.3f} m, more than {MOST}")
     return VideoFit(answer, before, after)
 
 

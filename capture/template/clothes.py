@@ -29,12 +29,11 @@ from scipy import ndimage, sparse
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, dense_weights, skin_points, strongest_four, unskin_points
 from capture.folder import CaptureSubject, PartVideo
-from capture.template.grid import DistanceGrid, distance_grid
+from capture.template.grid import DistanceGrid, closed_surface, distance_grid
 from capture.template.hull import SEEN_BY, MaskView, background_share, sure_background
 from capture.template.surface import SurfaceCloud, surface_cloud, visible_faces
 from geometry.cells import distance_to, pieces
-from geometry.isosurface import zero_set_mesh
-from geometry.mesh import TriangleMesh, neighbour_matrix
+from geometry.mesh import TriangleMesh, compact, neighbour_matrix
 
 CELL = 0.01  # metres, the template's distance
 FINE = 0.007  # metres, the grid on which cloth is carved
@@ -94,12 +93,10 @@ def with_clothes(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
         return subject
     template = distance_grid(cloud, low, high, CELL)
     cloth = carve(views, template, coarse, loose)
-    vertices, faces = cloth_mesh(cloth)
+    vertices, faces = closed_surface(cloth.distance, cloth.low, FINE, FINE)
     # what of the cloth lies under the skin is no surface, and what of the skin lies in the cloth neither
     under = template.at(vertices[faces].mean(1)).astype(np.float64)
-    faces = faces[under > -0.003]
-    used, faces = np.unique(faces, return_inverse=True)
-    mesh = TriangleMesh(vertices[used], faces.reshape(-1, 3))
+    mesh, _ = compact(vertices, faces[under > -0.003])
     covered = cloth.at(cloth.distance, posed.vertices[subject.faces].mean(1), 1.0) < -0.25 * FINE
     behind = [cloth.at(cloth.depth, posed.vertices, 0.0) > THICK, cloth.at(cloth.depth, mesh[0], 0.0) > 0.5 * THICK]
     skin = cloth_weights(mesh, cloud)
@@ -209,13 +206,6 @@ def shell(cloth: Bool[Array, "x y z"], distance: Float[Array, "x y z"], low: Flo
     return Cloth(np.where(keep, out, np.maximum(out, 0.5 * FINE)), np.where(touched, depth, 0), low)
 
 
-def cloth_mesh(cloth: Cloth) -> TriangleMesh:
-    """The closed surface of a shell of cloth, faces outwards."""
-    distance = np.pad(cloth.distance, 1, constant_values=FINE)
-    axes = [low + FINE * (np.arange(count) - 1) for low, count in zip(cloth.low, distance.shape)]
-    return zero_set_mesh(distance, axes)
-
-
 def cloth_weights(mesh: TriangleMesh, cloud: SurfaceCloud) -> SkinWeights:
     """Those of the nearest place of the body, smoothed over the cloth; where cloth meets body they are the body's."""
     away, row = cloud.tree.query(mesh.vertices, workers=-1)
@@ -254,15 +244,5 @@ def _joined(
             f"in the pose that the body's video holds {(~(settled & fine)).mean():.0%} of them lie between bones that "
             "point opposite ways; poses as filmed have no such place"
         )
-    count = len(cloth.vertices)
-    return replace(
-        subject,
-        rest=np.concatenate([subject.rest, rest]),
-        vertices=np.concatenate([subject.vertices, canonical]),
-        faces=np.concatenate([kept, cloth.faces + len(subject.vertices)]),
-        skin=SkinWeights(
-            np.concatenate([subject.skin.joints, skin.joints]), np.concatenate([subject.skin.weights, skin.weights])
-        ),
-        part=np.concatenate([subject.part, np.full(count, PARTS.index("body"))]),
-        hair=np.concatenate([subject.hair, np.zeros(count, bool)]),
-    )
+    part = np.full(len(rest), PARTS.index("body"))
+    return subject.joined(kept, TriangleMesh(canonical, cloth.faces), rest, skin, part, hair=False)

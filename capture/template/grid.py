@@ -10,6 +10,8 @@ from scipy import ndimage
 from capture.folder import CaptureSubject
 from capture.template.surface import SurfaceCloud, air_beyond
 from geometry.cells import distance_to
+from geometry.isosurface import zero_set_mesh
+from geometry.mesh import TriangleMesh
 from geometry.sample import lattice_samples
 from geometry.winding import winding_grid
 
@@ -63,6 +65,12 @@ def distance_grid(
     if closed is not None:
         distance = close_cavities(distance, axes, cell, closed)
     return DistanceGrid(distance.astype(np.float32), low.astype(np.float32), cell)
+
+
+def closed_surface(values: Float[Array, "x y z"], low: Float[Array, "3"], cell: float, outside: float) -> TriangleMesh:
+    """The closed zero set of values on a grid whose first node is at `low`; beyond the grid they are `outside`."""
+    padded = np.pad(values, 1, constant_values=outside)
+    return zero_set_mesh(padded, [first + cell * (np.arange(n) - 1) for first, n in zip(low, padded.shape)])
 
 
 def close_cavities(

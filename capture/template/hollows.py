@@ -23,10 +23,12 @@ from scipy import ndimage
 
 from avatar.camera import Camera, project
 from capture.folder import CaptureSubject
+from capture.videos import even
 from geometry.rasterise import rasterise
 
 # pixels of a view, at most, along the longer side: a cell of 6 mm is about 4 pixels of 256
 SMALL = 128
+FRAMES = 40
 # out of 1: colors that lie nearer are the same
 SAME = 0.05
 # out of 1, mean distance from the median: so far apart are no colors of one place; of cells of hair 5 % exceed .034, of
@@ -55,12 +57,10 @@ def color_views(
     images: UInt8[Array, "frames height width 3"],
     masks: Bool[Array, "frames height width"],
     cameras: Sequence[Camera],
-    frames: int = 40,
 ) -> list[ColorView]:
-    """At most `frames` of a video's pictures, each averaged down to SMALL pixels; cameras take canonical metres."""
-    chosen = np.unique(np.linspace(0, len(images), min(frames, len(images)), endpoint=False).astype(int))
+    """At most FRAMES of a video's pictures, each averaged down to SMALL pixels; cameras take canonical metres."""
     views = []
-    for i in chosen:
+    for i in even(len(images), FRAMES):
         by = max(1, int(np.ceil(max(images[i].shape[:2]) / SMALL)))
         height, width = (n // by * by for n in images[i].shape[:2])
         mean = lambda a: a[:height, :width].reshape(height // by, by, width // by, by, -1).mean((1, 3))
@@ -135,15 +135,15 @@ def _template_colors(
         vertex.append(corners.ravel())
         color.append(np.repeat(view.image[free], 3, axis=0))
     at, values = np.concatenate(vertex), np.concatenate(color)
-    total = np.stack([np.bincount(at, values[:, c], len(subject.vertices)) for c in range(3)], 1)
-    count = np.bincount(at, minlength=len(subject.vertices))
-    mean = total / np.maximum(count, 1)[:, None]
+
+    def mean(at: Int[Array, "n"], values: Float[Array, "n 3"]) -> Float[Array, "vertices 3"]:
+        total = np.stack([np.bincount(at, values[:, c], len(subject.vertices)) for c in range(3)], 1)
+        count = np.bincount(at, minlength=len(subject.vertices))[:, None]
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
     # once more without what is far from the mean: a strand, an edge
-    near = np.abs(values - mean[at]).max(1) < 2 * SAME
-    at, values = at[near], values[near]
-    total = np.stack([np.bincount(at, values[:, c], len(subject.vertices)) for c in range(3)], 1)
-    count = np.bincount(at, minlength=len(subject.vertices))
-    return np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
+    near = np.abs(values - mean(at, values)[at]).max(1) < 2 * SAME
+    return mean(at[near], values[near])
 
 
 def _shown_behind(

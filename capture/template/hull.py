@@ -19,15 +19,15 @@ from scipy.spatial import KDTree
 
 from avatar.camera import Camera, project
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
-from avatar.skinning import SkinWeights, skin_points
+from avatar.skinning import skin_points
 from capture.folder import Capture, CaptureSubject, PartVideo
 from capture.light.seen_colors import seen_colors
-from capture.template.grid import DistanceGrid, distance_grid
+from capture.template.grid import DistanceGrid, closed_surface, distance_grid
 from capture.template.hollows import ColorView, carve_hollows, color_views
+from capture.template.parts import rigid_weights
 from capture.template.surface import surface_cloud, visible_faces
 from geometry.cells import distance_to, pieces
-from geometry.isosurface import zero_set_mesh
-from geometry.mesh import TriangleMesh
+from geometry.mesh import compact
 
 HEAD = JOINTS.index("head")
 CELL = 0.006  # metres, of the carved grid
@@ -71,12 +71,14 @@ def sure_background(video: PartVideo) -> list[Bool[Array, "height width"]]:
 
 
 def head_views(video: PartVideo, canonical_from_head: Float[Array, "4 4"]) -> list[MaskView]:
-    """The head video's views; its camera frames differ from the canonical one by a similarity (Eq. 6)."""
+    """The head video's views."""
+    return [MaskView(*of) for of in zip(sure_background(video), head_cameras(video, canonical_from_head), strict=True)]
+
+
+def head_cameras(video: PartVideo, canonical_from_head: Float[Array, "4 4"]) -> list[Camera]:
+    """The head video's cameras; their frame differs from the canonical one by a similarity (Eq. 6)."""
     head_from_canonical = np.linalg.inv(canonical_from_head)
-    return [
-        MaskView(beside, moved_camera(camera, head_from_canonical))
-        for beside, camera in zip(sure_background(video), video.cameras)
-    ]
+    return [moved_camera(camera, head_from_canonical) for camera in video.cameras]
 
 
 def body_views(video: PartVideo, subject: CaptureSubject) -> list[MaskView]:
@@ -236,8 +238,8 @@ def with_hair(
     views += body_views(body, subject)
     pictures = None
     if hollows:
-        video, head_from_canonical = capture.videos["head"], np.linalg.inv(canonical_from_head)
-        cameras = [moved_camera(camera, head_from_canonical) for camera in video.cameras]
+        video = capture.videos["head"]
+        cameras = head_cameras(video, canonical_from_head)
         pictures = Pictures(subject, color_views(video.images, video.masks, cameras))
     estimated = capture.facts.get("input") == "from_pixels"
     hair = carve(views, template, scalp, pictures, ESTIMATED if estimated else GIVEN)
@@ -245,7 +247,7 @@ def with_hair(
         return subject
 
     def wearing(hair: Hair) -> CaptureSubject:
-        vertices, faces = hair_mesh(hair)
+        vertices, faces = closed_surface(0.5 - hair.share, hair.low, hair.cell, 0.5)
         # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
         under = template.at(vertices[faces].mean(1))
         faces = faces[under > -0.003]
@@ -304,34 +306,16 @@ def under_held_head(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
     return replace(subject, vertices=skin_points(subject.vertices, subject.skin, np.linalg.inv(B[HEAD]) @ B))
 
 
-def hair_mesh(hair: Hair) -> TriangleMesh:
-    """The closed surface of a volume of hair, canonical, faces outwards."""
-    density = np.pad(hair.share, 1)
-    axes = [low + hair.cell * (np.arange(count) - 1) for low, count in zip(hair.low, density.shape)]
-    return zero_set_mesh(0.5 - density, axes)
-
-
 def joined(
     subject: CaptureSubject, kept: Int[Array, "k 3"], vertices: Float[Array, "n 3"], faces: Int[Array, "faces 3"],
     neck: float,
 ) -> CaptureSubject:  # fmt: skip
     """The subject with the `kept` of its own faces and a mesh of hair behind them."""
-    used = np.unique(faces)
-    place = np.zeros(len(vertices), np.int64)
-    place[used] = np.arange(len(used)) + len(subject.vertices)
-    vertices = vertices[used]
+    mesh, _ = compact(vertices, faces)
+    vertices = mesh.vertices
     head = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))[HEAD]
     rest = np.linalg.solve(head[:3, :3], (vertices - head[:3, 3]).T).T
-    bones = np.full((len(vertices), 4), HEAD)
-    weights = np.tile(np.array([1, 0, 0, 0], np.float32), (len(vertices), 1))
+    skin = rigid_weights(len(vertices))
     part = np.where(vertices[:, 1] > neck, PARTS.index("head"), PARTS.index("body"))
-    return replace(
-        subject,
-        rest=np.concatenate([subject.rest, rest]),
-        vertices=np.concatenate([subject.vertices, vertices]),
-        faces=np.concatenate([kept, place[faces]]),
-        skin=SkinWeights(np.concatenate([subject.skin.joints, bones]), np.concatenate([subject.skin.weights, weights])),
-        part=np.concatenate([subject.part, part]),
-        hair=np.concatenate([subject.hair, np.ones(len(vertices), bool)]),
-        carved=(len(subject.vertices), len(subject.vertices) + len(vertices)),
-    )
+    out = subject.joined(kept, mesh, rest, skin, part, hair=True)
+    return replace(out, carved=(len(subject.vertices), len(out.vertices)))

@@ -11,13 +11,12 @@ paints hair on a lid over the skin. So space is divided there:
 
 with d the signed distance of the skin (the template without its hair, moved to where s has the skin beside the hair
 and harmonically in between under it), z the distance to the hair grown by MARGIN. Hair is what was carved and, joined
-to it above the height where all skin follows the head alone (rigid.py), what s has farther than THIN off the
+to it above the height where all skin follows the head alone (parts.py), what s has farther than THIN off the
 skin. Hair follows the head's bone alone, the body has the weights of the skin.
 
 Canonical frame, metres.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,15 +25,14 @@ from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.skeleton import JOINTS, PARTS
-from avatar.skinning import SkinWeights, dense_weights
+from avatar.skinning import dense_weights
 from capture.folder import CaptureSubject
 from capture.template.grid import DistanceGrid, distance_grid
 from capture.template.surface import sample_grid, surface_cloud
 from geometry.cells import distance_to, pieces
 from geometry.harmonic import fill_reached
+from geometry.isosurface import PointFunction
 from geometry.mesh import vertex_normals
-
-PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
 BODY, HAIR = 0, 1
 HEAD = JOINTS.index("head")
@@ -166,7 +164,7 @@ def outer_depth(learned: Float[Array, "x y z"], bare: DistanceGrid, zone: Distan
 
 
 def rigid_height(subject: CaptureSubject, skin_faces: Int[Array, "k 3"]) -> float:
-    """The height above which all skin follows the head alone (capture/register/rigid.py)."""
+    """The height above which all skin follows the head alone (capture/template/parts.py)."""
     used = np.unique(skin_faces)
     follows = dense_weights(subject.skin.of(used))[:, HEAD]
     near = np.abs(subject.vertices[used, 0] - subject.joints[HEAD, 0]) < 0.25
@@ -233,10 +231,3 @@ def skin_moved(
 def without_hair(subject: CaptureSubject) -> CaptureSubject:
     """The template without its carved hair, that the body's layer takes its weights from."""
     return replace(subject, faces=np.concatenate([subject.faces[~carved_faces(subject)], subject.under_hair]))
-
-
-def rigid_weights(count: int) -> SkinWeights:
-    """Weights of what follows the head's bone alone."""
-    weights = np.zeros((count, 4), np.float32)
-    weights[:, 0] = 1
-    return SkinWeights(np.full((count, 4), HEAD), weights)

@@ -1,13 +1,16 @@
 """The four parts: their canonical boxes, and where two of them overlap (TotalSelfScan, 3.3, Eq. 9)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from avatar.skeleton import PARTS
+from avatar.skeleton import JOINTS, PARTS
+from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from capture.folder import CaptureSubject
+
+HEAD = JOINTS.index("head")
 
 
 @dataclass(frozen=True)
@@ -82,3 +85,26 @@ def part_boxes(subject: CaptureSubject) -> tuple[Part, ...]:
                 extent = Box(low - 0.03, np.array([blend_high[0] + 0.02, high[1] + 0.03, high[2] + 0.03]))
         parts.append(Part(name, extent, Box(blend_low, blend_high), overlap))
     return tuple(parts)
+
+
+def rigid_weights(count: int) -> SkinWeights:
+    """Weights of what follows the head's bone alone."""
+    weights = np.zeros((count, 4), np.float32)
+    weights[:, 0] = 1
+    return SkinWeights(np.full((count, 4), HEAD), weights)
+
+
+def with_rigid_head(subject: CaptureSubject) -> CaptureSubject:
+    """The template whose vertices follow only the head bone where only the head's field has a weight (Eq. 9).
+
+    The head is rigid: its field is learned from a video under one rigid motion a frame (TotalSelfScan, Eq. 4). A
+    body model's weights bend the jaw and the back of the head with the neck by a tenth or more; the head's video,
+    seen as rigid, contradicts that. Over the upper half of the overlap (Eq. 9) the weights blend.
+    """
+    head = part_boxes(subject)[PARTS.index("head")]
+    share = head.weight(subject.vertices)
+    follows = np.clip(2 * share - 1, 0, 1)[:, None]
+    weights = dense_weights(subject.skin)
+    weights = weights * (1 - follows)
+    weights[:, HEAD] += follows[:, 0]
+    return replace(subject, skin=strongest_four(weights))

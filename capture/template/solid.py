@@ -13,9 +13,8 @@ from capture.folder import CaptureSubject
 from capture.template.grid import DistanceGrid, distance_grid
 from capture.template.surface import air_beyond, occupied_cells, surface_cloud, visible_faces
 from geometry.cells import nearest_marked
+from geometry.isosurface import PointFunction
 from geometry.mesh import vertex_normals
-
-PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
 # metres, per part: so deep inside the template is no surface
 INSIDE = np.array([0.02, 0.015, 0.004, 0.004])

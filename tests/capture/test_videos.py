@@ -108,5 +108,5 @@ def test_frames_on_demand_are_those_that_are_read_at_once(tmp_path):
     np.testing.assert_array_equal(some[0], pixels[3])
     np.testing.assert_array_equal(files[2], pixels[2])
     Image.fromarray(pixels[0, :5]).save(tmp_path / "000001.png")
-    with pytest.raises(AssetError, match=r"000001\.png: expected 5 x 6 pixels as before, found 5 x 5"):
+    with pytest.raises(AssetError, match=r"000001\.png: should be \(5, 6\) pixels as before, is \(5, 5\)"):
         files[1]

@@ -10,7 +10,8 @@ from pictures import png
 from PIL import Image
 
 from capture.folder import _read_frames
-from capture.read.folder import read_frame, read_mask
+from capture.frame_files import sized_picture
+from capture.read.folder import read_mask
 from command.errors import AssetError
 from files.picture import WITH_WEBP, decode_picture, picture_size, read_picture
 from player.effects.background import Background, opened_source
@@ -46,7 +47,7 @@ def readers(path):
     yield lambda: read_picture(path)
     yield lambda: read_picture(path, None)
     yield lambda: _read_frames(path.parent, "RGB")
-    yield lambda: read_frame(path, (6, 4))
+    yield lambda: sized_picture(path, (6, 4), "as its camera")
     yield lambda: read_mask(path, (6, 4), any_value=True)
     yield lambda: opened_source(Background("image", path=str(path)))
     yield lambda: opened_source(Background("video", path=str(path.parent))).pixels(0.0, (8, 8))

@@ -10,7 +10,7 @@ from capture.template.parts import Box, Part
 from capture.template.surface import SurfaceCloud
 from geometry.harmonic import fill_reached
 from train.deform import canonical_directions, inverse_transforms
-from train.parts import part_weight
+from train.fused import part_weight
 from train.skin import harmonic_fill
 from train.template_grid import TemplateGrid, template_grid
 

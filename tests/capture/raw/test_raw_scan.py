@@ -30,7 +30,7 @@ def test_pictures_are_read_when_asked_for(tmp_path):
 def test_picture_of_another_size_is_refused(tmp_path):
     raw = video(tmp_path)
     Image.new("RGB", (24, 32)).save(raw.pictures[1])
-    with pytest.raises(AssetError, match=r"000001\.png: should be \(32, 24\) pixels, is \(24, 32\)"):
+    with pytest.raises(AssetError, match=r"000001\.png: should be \(32, 24\) pixels as the video, is \(24, 32\)"):
         raw.picture(1)
 
 

@@ -128,7 +128,7 @@ def test_masks_are_labels_or_0_and_1_and_jpeg_rings_are_no_person(tmp_path):
     Image.fromarray((person * 255).astype(np.uint8)).save(tmp_path / "e.jpg", quality=60)
     assert (np.asarray(Image.open(tmp_path / "e.jpg"))[~person] > 0).any()  # nonzero would be wrong
     np.testing.assert_array_equal(read_mask(tmp_path / "e.jpg", (40, 40), any_value=True), person)
-    with pytest.raises(AssetError, match=r"a\.png: mask should be \(20, 40\) pixels .* is \(40, 40\)"):
+    with pytest.raises(AssetError, match=r"a\.png: should be \(20, 40\) pixels .* is \(40, 40\)"):
         read_mask(tmp_path / "a.png", (20, 40), any_value=True)
 
 

@@ -12,12 +12,11 @@ from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import read_capture
 from capture.register.photometric import ColoredHead, refine_on_video
-from capture.register.rigid import with_rigid_head
-from capture.template.parts import part_boxes
+from capture.template.parts import part_boxes, with_rigid_head
 from geometry.icp import Anchors
 from geometry.rasterise import rasterise
 from train.compose import place_on_surfaces
-from train.parts import part_weight
+from train.fused import part_weight
 
 SIZE, FINER = 256, 3
 

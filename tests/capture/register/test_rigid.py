@@ -6,9 +6,8 @@ import torch
 
 from avatar.skinning import dense_weights
 from capture.folder import read_capture
-from capture.register.rigid import HEAD, with_rigid_head
-from capture.template.parts import part_boxes
-from train.parts import part_weight
+from capture.template.parts import HEAD, part_boxes, with_rigid_head
+from train.fused import part_weight
 
 
 @pytest.fixture(scope="module")

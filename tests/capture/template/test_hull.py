@@ -8,7 +8,7 @@ from avatar.camera import orbit_camera, pixel_rays
 from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
-from capture.template.grid import DistanceGrid
+from capture.template.grid import DistanceGrid, closed_surface
 from capture.template.hull import (
     HEAD,
     STANDS_OFF,
@@ -17,7 +17,6 @@ from capture.template.hull import (
     Scalp,
     background_share,
     carve,
-    hair_mesh,
     hanging,
     of_one_color,
 )
@@ -120,7 +119,7 @@ def test_what_hangs_in_the_color_of_the_shirt_is_no_hair_and_a_speck_of_it_in_th
     lobe = (np.abs(GRID[..., 0]) < 0.05) & (GRID[..., 2] > 0.05) & (GRID[..., 1] < -0.05)
     hair = Hair(ndimage.gaussian_filter((mane | lobe).astype(float), 0.8), LOW, CELL)
     brown, blue, rng = np.array([0.3, 0.2, 0.15]), np.array([0.6, 0.7, 0.9]), np.random.default_rng(0)
-    vertices, faces = hair_mesh(hair)
+    vertices, faces = closed_surface(0.5 - hair.share, hair.low, hair.cell, 0.5)
     skull, trunk = rng.uniform([-0.1, 0.06, -0.1], [0.1, 0.1, 0], (50, 3)), rng.uniform(-0.2, SCALP.neck, (200, 3))
     places, of_body = np.concatenate([skull, trunk, vertices]), len(skull) + len(trunk)
     speck = np.linalg.norm(vertices - [0, -0.1, LOW[2]], axis=1) < 0.01
@@ -151,7 +150,7 @@ def test_background_share_counts_only_pictures_that_hold_the_point():
 def test_the_mesh_of_hair_is_closed_faces_outwards_and_holds_its_volume():
     hair = carve(filmed(hair=True), ball(), SCALP)
     assert hair is not None
-    vertices, faces = hair_mesh(hair)
+    vertices, faces = closed_surface(0.5 - hair.share, hair.low, hair.cell, 0.5)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     assert set(map(tuple, edges)) == set(map(tuple, edges[:, ::-1]))  # each edge once in each direction
     a, b, c = (vertices[faces[:, i]] for i in range(3))

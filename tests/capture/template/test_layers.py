@@ -15,9 +15,9 @@ from capture.template.layers import (
     HairLayers,
     carved_faces,
     hair_layers,
-    rigid_weights,
     without_hair,
 )
+from capture.template.parts import rigid_weights
 
 RADIUS = 0.12
 LOW, HIGH = np.array([0.09, -0.10, -0.05]), np.array([0.17, 0.08, 0.05])
