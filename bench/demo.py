@@ -20,7 +20,7 @@ from files.whole import write_text
 
 # strength of the shine that depends on the view
 SHEEN = 0.5
-# of each part, a third of the preset's: textures come from the videos, and a newcomer waits
+# steps of each part, a third of the preset's: textures come from the videos, and a newcomer waits
 STEPS = "400"
 SCENE = """# The film of `make demo`. Change it and film again: selfscan render --scene {name} -o avatar.mp4
 size = [640, 640]

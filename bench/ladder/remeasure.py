@@ -74,7 +74,7 @@ def level_facts_again(level: Level, surface: measure.FieldSurface, run: BakeSour
     """Distance of a level's triangles to the field, triangles and texel side by part."""
     mesh = TriangleMesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
     away = measure.field_to_mesh(surface.distance, mesh)
-    # of the run's vertex nearest to each face's middle
+    # that of the run's vertex nearest to each face's middle
     _, nearest = KDTree(surface.mesh.vertices).query(mesh.vertices[mesh.faces].mean(1))
     part = np.asarray(run.surface.part, np.int64)[nearest]
     height, width = level.base_color.shape[:2]

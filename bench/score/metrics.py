@@ -183,7 +183,7 @@ METRICS = (
     Metric("chamfer_cm", "CD cm", 2, "lower", of_surfaces=lambda d: d.chamfer),
     Metric("f_5mm", "F 5 mm", 2, "higher", of_surfaces=lambda d: d.f_5mm),
     Metric("f_1cm", "F 1 cm", 2, "higher", of_surfaces=lambda d: d.f_1cm),
-    # of a standing person alone: bench/score/outlines.py
+    # a standing person alone has outlines: bench/score/outlines.py
     Metric("outline_iou", "IoU", 3, "higher"),
     Metric("outline_worst", "IoU worst", 3, "higher"),
     Metric("psnr_db", "box dB", 2, "higher", lambda p: p.box_error(), of_rungs=True),

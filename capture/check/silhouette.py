@@ -84,7 +84,7 @@ def outline(capture: Capture, part: str, frame: int) -> TemplateOutline:
         whole = (columns * step, rows * step)
         camera = Camera(camera.K, camera.camera_from_world, whole, camera.distortion).resized((columns, rows))
     drawn = rasterise(posed_template(capture, part, frame), capture.subject.faces, camera)
-    # of each face the majority of its three vertices
+    # each face has the majority of its three vertices
     part_of_face = np.sort(capture.subject.part[capture.subject.faces], 1)[:, 1]
     parts = np.where(drawn.face >= 0, part_of_face[drawn.face], -1)
     found = agreement(parts, mask, PARTS.index(part))

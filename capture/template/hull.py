@@ -48,7 +48,7 @@ BROW = 0.65
 FACE, THROAT = 0.06, 0.06
 # metres over the head's lowest skin that what was carved is surely hair, and half of the neckline's width
 CHIN, NECKLINE = 0.08, 0.3
-# of 1, a color that no hair has; colors of either kind to which one is compared
+# a distance of colors in [0, 1] that no hair has; colors of either kind to which one is compared
 UNLIKE, ALIKE = 0.06, 8
 ROUNDS = 2
 # levels under the neck over which hair hangs one cell farther out

@@ -26,7 +26,7 @@ SIDES = 48
 
 def pelvis_height(avatar: Avatar) -> float:
     """Height of the pelvis joint above the soles in pose 0, metres."""
-    # of the finest level: every reading has it
+    # those of the finest level: every reading has it
     return -float(posed_vertices(avatar, avatar.levels[0], (np.zeros((52, 3)), np.zeros(3)))[:, 1].min())
 
 
