@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
 
 from avatar.skinning import dense_weights, strongest_four
 from avatar.texture import sample_texture
@@ -66,9 +67,7 @@ def cut_out(subject: SynthSubject) -> SynthSubject:
     )
 
 
-def _opaque_share(
-    alpha: UInt8[np.ndarray, "height width"], uv: Float[np.ndarray, "faces 3 2"]
-) -> Float[np.ndarray, "faces"]:
+def _opaque_share(alpha: UInt8[Array, "height width"], uv: Float[Array, "faces 3 2"]) -> Float[Array, "faces"]:
     """The share of 15 places spread over each triangle at which alpha is one half or more."""
     grid = [(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]
     places = np.einsum("pc,fcx->fpx", np.array(grid) / 4, uv).reshape(-1, 2)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, look_at
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
@@ -28,12 +29,12 @@ class Shots:
     """One video before it is taken."""
 
     part: str
-    axis_angle: Float[np.ndarray, "faces 52 3"]
-    root: Float[np.ndarray, "faces 3"]  # pelvis joint in the world
+    axis_angle: Float[Array, "faces 52 3"]
+    root: Float[Array, "faces 3"]  # pelvis joint in the world
     cameras: tuple[Camera, ...]
 
 
-def rotation(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Float[np.ndarray, "3 3"]:
+def rotation(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Float[Array, "3 3"]:
     """R_x R_y R_z of angles in degrees: z acts first."""
     about = [matrix_from_axis_angle(np.radians(angle) * axis) for angle, axis in zip((x, y, z), np.eye(3), strict=True)]
     return about[0] @ about[1] @ about[2]
@@ -49,7 +50,7 @@ def plan_videos(studio: Studio, frames: int, size: int) -> dict[str, Shots]:
     }
 
 
-def frame_points(eye, target, points: Float[np.ndarray, "n 3"], size: int, finest: float | None = None) -> Camera:
+def frame_points(eye, target, points: Float[Array, "n 3"], size: int, finest: float | None = None) -> Camera:
     """A square camera at `eye` looking at `target` whose focal length just holds `points`.
 
     `finest`: metres that a pixel may cover at the target's distance; the focal length grows until it does not.
@@ -95,7 +96,7 @@ def _head_video(studio: Studio, frames: int, size: int) -> Shots:
     return Shots("head", axis_angle, root, (camera,) * frames)
 
 
-def head_points(subject: SynthSubject) -> Float[np.ndarray, "points 3"]:
+def head_points(subject: SynthSubject) -> Float[Array, "points 3"]:
     """What a close-up of the head holds, pose 0: the head without hair that hangs, and a collar below."""
     head = subject.vertices[(subject.part == PARTS.index("head")) & ~_low_hair(subject)].astype(np.float64)
     # the neck is where parts are joined
@@ -111,12 +112,12 @@ def head_nod(turn: float) -> float:
     return float((1 - second) * (-5 - 13 * twice) + second * (17.5 + 2.5 * twice))
 
 
-def _low_hair(subject: SynthSubject) -> np.ndarray:
+def _low_hair(subject: SynthSubject) -> Array:
     """Hair that hangs below the neck: not what a head close-up is framed for."""
     return subject.hair & (subject.vertices[:, 1] < subject.joints[JOINTS.index("neck"), 1])
 
 
-def relaxed_fingers() -> Float[np.ndarray, "52 3"]:
+def relaxed_fingers() -> Float[Array, "52 3"]:
     """A hand as one holds it up to look at: fingers a little spread and a little bent, thumb off the palm."""
     pose = np.zeros((52, 3))
     for side, hand in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
@@ -144,9 +145,7 @@ def _hand_video(studio: Studio, side: str, frames: int, size: int) -> Shots:
     return Shots(f"hand_{side}", axis_angle, root, (camera,) * frames)
 
 
-def hand_poses(
-    joints: Float[np.ndarray, "52 3"], side: str, roll: Float[np.ndarray, "frames"]
-) -> Float[np.ndarray, "frames 52 3"]:
+def hand_poses(joints: Float[Array, "52 3"], side: str, roll: Float[Array, "frames"]) -> Float[Array, "frames 52 3"]:
     """The arm raised at the side, the hand rolled about its length by so many degrees, the other arm hanging."""
     sign = 1.0 if side == "left" else -1.0
     fingers = relaxed_fingers()
@@ -178,11 +177,8 @@ def hand_poses(
 
 
 def hand_before_camera(
-    axis_angle: Float[np.ndarray, "frames 52 3"],
-    joints: Float[np.ndarray, "52 3"],
-    side: str,
-    roll: Float[np.ndarray, "frames"],
-) -> Float[np.ndarray, "frames 3"]:
+    axis_angle: Float[Array, "frames 52 3"], joints: Float[Array, "52 3"], side: str, roll: Float[Array, "frames"]
+) -> Float[Array, "frames 3"]:
     """Where the pelvis is when the person steps along so that the hand stays at the origin, within 1.5 cm."""
     middle = JOINTS.index(f"{side}_middle1")
     at = joint_transforms(axis_angle, joints, np.zeros((len(roll), 3)))[:, middle, :3, 3]
@@ -190,7 +186,7 @@ def hand_before_camera(
     return 0.015 * np.stack(drift, 1) - at
 
 
-def _turn_to(to_camera, along, up) -> Float[np.ndarray, "3 3"]:
+def _turn_to(to_camera, along, up) -> Float[Array, "3 3"]:
     """The rotation that points `to_camera` at +z and, of those, brings `along` nearest to `up` (in the image)."""
     z = to_camera / np.linalg.norm(to_camera)
     y = along - (along @ z) * z
@@ -202,7 +198,7 @@ def _turn_to(to_camera, along, up) -> Float[np.ndarray, "3 3"]:
     return goal @ source.T
 
 
-def _shoulder_for(forearm: Float[np.ndarray, "3 3"], sign: float) -> Float[np.ndarray, "3 3"]:
+def _shoulder_for(forearm: Float[Array, "3 3"], sign: float) -> Float[Array, "3 3"]:
     """A shoulder that holds the upper arm out to the side, twisted so that the elbow turns as little as it can."""
     twist = np.radians(np.arange(-90.0, 91.0, 5.0))
     twisted = matrix_from_axis_angle(twist[:, None] * [1.0, 0, 0])
@@ -213,10 +209,10 @@ def _shoulder_for(forearm: Float[np.ndarray, "3 3"], sign: float) -> Float[np.nd
 
 def write_frames(
     path: Path,
-    axis_angle: Float[np.ndarray, "frames 52 3"],
-    root: Float[np.ndarray, "frames 3"],
+    axis_angle: Float[Array, "frames 52 3"],
+    root: Float[Array, "frames 3"],
     camera: Camera,
-    present: Bool[np.ndarray, "frames"],
+    present: Bool[Array, "frames"],
 ) -> None:
     """truth/PART/video.npz: the true pose and place of every frame, whether the person is in it, and the video's one
     camera."""

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.camera import Camera
 from avatar.rotation import matrix_from_quaternion
@@ -21,7 +22,7 @@ from synth.template import RegisteredTemplate
 LANDMARK_NOISE = 0.002  # metres, each axis
 
 
-def seeded_similarity(seed: int) -> Float[np.ndarray, "4 4"]:
+def seeded_similarity(seed: int) -> Float[Array, "4 4"]:
     """head_from_canonical: any rotation, up to 2 units away, 0.4 to 2.5 units a metre."""
     rng = np.random.default_rng([seed, 11])
     q = rng.standard_normal(4)
@@ -31,13 +32,13 @@ def seeded_similarity(seed: int) -> Float[np.ndarray, "4 4"]:
     return similarity
 
 
-def scale_of(similarity: Float[np.ndarray, "4 4"]) -> float:
+def scale_of(similarity: Float[Array, "4 4"]) -> float:
     """The scale of a similarity: units of the target per unit of the source."""
     return float(np.cbrt(np.linalg.det(similarity[:3, :3])))
 
 
 def cameras_in_head_frame(
-    shots: Shots, joints: Float[np.ndarray, "52 3"], head_from_canonical: Float[np.ndarray, "4 4"]
+    shots: Shots, joints: Float[Array, "52 3"], head_from_canonical: Float[Array, "4 4"]
 ) -> tuple[Camera, ...]:
     """The cameras of a video as the head sees them, in the head frame."""
     head = JOINTS.index("head")
@@ -57,9 +58,7 @@ def cameras_in_head_frame(
     return tuple(cameras)
 
 
-def landmarks(
-    template: RegisteredTemplate, head_from_canonical: Float[np.ndarray, "4 4"], seed: int
-) -> dict[str, dict]:
+def landmarks(template: RegisteredTemplate, head_from_canonical: Float[Array, "4 4"], seed: int) -> dict[str, dict]:
     """landmarks.json: points in the head frame, LANDMARK_NOISE off, and the template vertices they belong to; none is
     under hair."""
     mesh = template.mesh

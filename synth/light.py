@@ -24,6 +24,7 @@ class StudioLight:
     specular: float = 0.0
 
 
+FilmLight = StudioLight | Room
 FRONT = (0.45, 0.65, 0.6)
 STILL = {
     "even": StudioLight(1.0, 0.0, FRONT),
@@ -33,7 +34,7 @@ STILL = {
 }
 
 
-def light_of(mode: str, video: str, seed: int) -> StudioLight | Room:
+def light_of(mode: str, video: str, seed: int) -> FilmLight:
     """The light of one video. "varied" gives every video another light; the others share one.
 
     Raises:

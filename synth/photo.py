@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray as Array
 
 from avatar.camera import Camera
 from avatar.skeleton import PARTS, skin_transforms
@@ -14,7 +15,7 @@ from avatar.skinning import skin_points
 from avatar.texture import sample_texture
 from geometry.mesh import vertex_normals, weld
 from player.draw.raster import Rasteriser
-from synth.light import StudioLight, shade, sheen_of
+from synth.light import FilmLight, shade, sheen_of
 from synth.room import Room, RoomLighting, VertexLight, shade_in_room
 from synth.subject import SynthSubject
 
@@ -22,19 +23,17 @@ from synth.subject import SynthSubject
 class Photo(NamedTuple):
     """One picture; row 0 is the top."""
 
-    image: UInt8[np.ndarray, "height width 3"]
+    image: UInt8[Array, "height width 3"]
     # 255 where the person covers half of the pixel or more
-    mask: UInt8[np.ndarray, "height width"]
-    parts: UInt8[
-        np.ndarray, "height width"
-    ]  # 1 + part (index in PARTS) that covers most of the pixel, 0 outside the mask
+    mask: UInt8[Array, "height width"]
+    parts: UInt8[Array, "height width"]  # 1 + part (index in PARTS) that covers most of the pixel, 0 outside the mask
 
 
 class ExposedPicture(NamedTuple):
     """A picture to lay over another one: color + (1 - coverage) * what lies behind."""
 
-    color: Float[np.ndarray, "height width 3"]  # sRGB 0 to 255, times coverage
-    coverage: Float[np.ndarray, "height width"]  # share of the pixel that shows the person
+    color: Float[Array, "height width 3"]  # sRGB 0 to 255, times coverage
+    coverage: Float[Array, "height width"]  # share of the pixel that shows the person
 
 
 class Studio:
@@ -46,17 +45,13 @@ class Studio:
         self.face_part = subject.part[subject.faces[:, 0]]
         self.lighting = RoomLighting(rasteriser, subject.faces, self.welded)
 
-    def posed(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "vertices 3"]:
+    def posed(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"]) -> Float[Array, "vertices 3"]:
         """The subject's vertices in a pose, world."""
         joints = self.subject.joints.astype(np.float64)
         transforms = skin_transforms(axis_angle, joints, root, rest=np.zeros((52, 3)))
         return skin_points(self.subject.vertices, self.subject.skin, transforms)
 
-    def take(
-        self, vertices: Float[np.ndarray, "vertices 3"], camera: Camera, light: StudioLight | Room, sheen: float
-    ) -> Photo:
+    def take(self, vertices: Float[Array, "vertices 3"], camera: Camera, light: FilmLight, sheen: float) -> Photo:
         """A picture of posed vertices."""
         n = self.supersample
         samples, hit, face = self._samples(vertices, camera, light, sheen, None)
@@ -69,27 +64,22 @@ class Studio:
         return Photo(image, np.where(covered, 255, 0).astype(np.uint8), parts)
 
     def expose(
-        self,
-        vertices: Float[np.ndarray, "vertices 3"],
-        camera: Camera,
-        light: StudioLight | Room,
-        sheen: float,
-        lit: VertexLight | None = None,
+        self, vertices: Float[Array, "vertices 3"], camera: Camera, light: FilmLight, lit: VertexLight | None = None
     ) -> ExposedPicture:
         """A picture to lay over another one; `lit`: light in a room that was found before."""
         n = self.supersample
-        samples, hit, _ = self._samples(vertices, camera, light, sheen, lit)
+        samples, hit, _ = self._samples(vertices, camera, light, 0.0, lit)
         coverage = block_sum(hit.astype(np.float32), n) / n**2
         return ExposedPicture(block_sum(samples, n) / n**2, coverage)
 
     def _samples(
         self,
-        vertices: Float[np.ndarray, "vertices 3"],
+        vertices: Float[Array, "vertices 3"],
         camera: Camera,
-        light: StudioLight | Room,
+        light: FilmLight,
         sheen: float,
         lit: VertexLight | None,
-    ) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"], Int[np.ndarray, "hits"]]:
+    ) -> tuple[Float[Array, "height width 3"], Bool[Array, "height width"], Int[Array, "hits"]]:
         """Colours of all samples, 0 where nothing is; where something is; and the faces there."""
         width, height = camera.size
         n = self.supersample
@@ -116,7 +106,7 @@ class Studio:
         samples[hit] = np.clip(color, 0, 255)
         return samples, hit, face
 
-    def _color(self, face: Int[np.ndarray, "n"], weights: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    def _color(self, face: Int[Array, "n"], weights: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         subject = self.subject
         # float32: a ten-thousandth of a texel
         uv = _blend(subject.uv, subject.faces[face], weights)
@@ -133,9 +123,7 @@ class Studio:
         return color
 
 
-def _blend(
-    values: Float[np.ndarray, "vertices C"], corners: Int[np.ndarray, "n 3"], weights: Float[np.ndarray, "n 3"]
-) -> np.ndarray:
+def _blend(values: Float[Array, "vertices C"], corners: Int[Array, "n 3"], weights: Float[Array, "n 3"]) -> Array:
     """Barycentric interpolation."""
     blended = values[corners[:, 0]] * weights[:, 0:1]
     blended += values[corners[:, 1]] * weights[:, 1:2]
@@ -143,7 +131,7 @@ def _blend(
     return blended
 
 
-def block_sum(samples: np.ndarray, n: int) -> np.ndarray:
+def block_sum(samples: Array, n: int) -> Array:
     """Sums of n x n blocks; slices are several times faster than a reduction over two inner axes."""
     total = samples[::n, ::n].copy()
     for k in range(1, n * n):

@@ -15,10 +15,9 @@ from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND
 from files.whole import whole_file
 from synth.film import FINEST_PIXEL, frame_points, rotation
-from synth.light import StudioLight
+from synth.light import FilmLight
 from synth.photo import Photo, Studio
 from synth.raw.detector import Detector, Mistakes
-from synth.room import Room
 from synth.subject import SynthSubject
 
 SIZE = 512  # pixels
@@ -194,7 +193,7 @@ def take_set(
     studio: Studio,
     stands: list[Stand],
     folder: Path,
-    light: StudioLight | Room,
+    light: FilmLight,
     sheen: float,
     seed: int,
     looks: DetectorOf | None = None,
@@ -252,21 +251,13 @@ def write_png(path: Path, pixels: UInt8[np.ndarray, "..."]) -> None:
 def write_rest(folder: Path, subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> None:
     """rest.npz and a picture per material: the subject's own mesh in pose 0."""
     folder.mkdir(exist_ok=True)
-    eye: dict[str, Any] = {} if subject.eye is None else {"eye": subject.eye}
+    kept = ("vertices", "faces", "uv", "material", "joints", "part", "hair")
+    fields: dict[str, Any] = {name: vars(subject)[name] for name in kept}
+    if subject.eye is not None:
+        fields["eye"] = subject.eye
+    fields["skin_joints"] = subject.skin.joints.astype(np.uint8)
+    fields["skin_weights"] = subject.skin.weights.astype(np.float32)
     with whole_file(folder / "rest.npz") as file:
-        np.savez_compressed(
-            file,
-            vertices=subject.vertices,
-            faces=subject.faces,
-            uv=subject.uv,
-            material=subject.material,
-            skin_joints=subject.skin.joints.astype(np.uint8),
-            skin_weights=subject.skin.weights.astype(np.float32),
-            joints=subject.joints,
-            part=subject.part,
-            hair=subject.hair,
-            visible=visible,
-            **eye,
-        )
+        np.savez_compressed(file, visible=visible, **fields)
     for i, texture in enumerate(subject.textures):
         write_png(folder / f"texture_{i}.png", texture)

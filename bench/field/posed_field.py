@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, pixel_rays, project
 from avatar.skeleton import BIG_POSE, skin_transforms
@@ -51,26 +52,22 @@ def one_thread() -> Iterator[None]:
 class PosableSurface:
     """A mesh in the canonical (big) pose that follows the skeleton."""
 
-    vertices: Float[np.ndarray, "vertices 3"]  # canonical, metres
-    faces: Int[np.ndarray, "faces 3"]
+    vertices: Float[Array, "vertices 3"]  # canonical, metres
+    faces: Int[Array, "faces 3"]
     skin: SkinWeights
-    joints: Float[np.ndarray, "52 3"]  # pose 0
-    canonical_pose: Float[np.ndarray, "52 3"]
+    joints: Float[Array, "52 3"]  # pose 0
+    canonical_pose: Float[Array, "52 3"]
 
-    def posed(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "vertices 3"]:
+    def posed(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"]) -> Float[Array, "vertices 3"]:
         return skin_points(self.vertices, self.skin, self.transforms(axis_angle, root))
 
-    def transforms(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "52 4 4"]:
+    def transforms(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"]) -> Float[Array, "52 4 4"]:
         return skin_transforms(axis_angle, self.joints, root, rest=self.canonical_pose)
 
 
 class MaskedPicture(NamedTuple):
-    color: Float[np.ndarray, "height width 3"]  # [0, 1] sRGB, black where nothing is
-    mask: Bool[np.ndarray, "height width"]
+    color: Float[Array, "height width 3"]  # [0, 1] sRGB, black where nothing is
+    mask: Bool[Array, "height width"]
 
 
 class PosedField:
@@ -94,19 +91,17 @@ class PosedField:
         )
         self.cone = view_cone(count, mean, covariance, normals, self.surface.faces)
         # several pictures show one pose
-        self.last_pose: tuple[bytes, np.ndarray] = (b"", np.zeros((0, 3)))
+        self.last_pose: tuple[bytes, Array] = (b"", np.zeros((0, 3)))
 
-    def distance(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    def distance(self, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
         """Signed distance of canonical points, metres."""
         return in_pieces(self.field.distance, points)
 
-    def color(self, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    def color(self, points: Float[Array, "n 3"], directions: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Color of canonical points on the surface at given unit directions, [0, 1] sRGB."""
         return in_pieces(self.field.color, points, directions).clip(0, 1)
 
-    def posed(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "vertices 3"]:
+    def posed(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"]) -> Float[Array, "vertices 3"]:
         """Posed vertices of its own surface; the last pose is kept."""
         key = np.concatenate([np.ravel(axis_angle), root]).tobytes()
         if self.last_pose[0] != key:
@@ -115,12 +110,12 @@ class PosedField:
 
     def shown(
         self,
-        points: Float[np.ndarray, "n 3"],
+        points: Float[Array, "n 3"],
         seen: ViewCone,
-        rotations: Float[np.ndarray, "n 3 3"],
-        rays: Float[np.ndarray, "n 3"],
+        rotations: Float[Array, "n 3 3"],
+        rays: Float[Array, "n 3"],
         directions: Directions,
-    ) -> Float[np.ndarray, "n 3"]:
+    ) -> Float[Array, "n 3"]:
         """Color of canonical points that rays of the world meet; `rotations` are world_from_canonical."""
         asked = seen.direction
         if directions != "global":
@@ -137,13 +132,13 @@ class PosedField:
     def draw(
         self,
         raster: Rasteriser,
-        axis_angle: Float[np.ndarray, "52 3"],
-        root: Float[np.ndarray, "3"],
+        axis_angle: Float[Array, "52 3"],
+        root: Float[Array, "3"],
         camera: Camera,
         *,
         samples: int = 1,
         directions: Directions = "global",
-        where: Bool[np.ndarray, "height width"] | None = None,
+        where: Bool[Array, "height width"] | None = None,
     ) -> MaskedPicture:
         """One picture on black, silhouettes smoothed by `samples` squared a pixel; colors outside `where` stay black.
         Where the run has a light, it is lit as the body's video was."""
@@ -168,14 +163,14 @@ class PosedField:
         return shaded(cover, chosen, self.shown(points, seen, rotations, rays, directions), samples)
 
 
-def in_pieces(function: Callable[..., torch.Tensor], *arrays: Float[np.ndarray, "n 3"]) -> np.ndarray:
+def in_pieces(function: Callable[..., torch.Tensor], *arrays: Float[Array, "n 3"]) -> Array:
     """A function of points of the field, for arrays of any length: float32, CHUNK rows at once, without a graph."""
     with one_thread(), torch.no_grad():
         tensors = [torch.as_tensor(array, dtype=torch.float32).split(CHUNK) for array in arrays]
         return torch.cat([function(*own) for own in zip(*tensors, strict=True)]).numpy()
 
 
-def on_zero_set(field: FusedField, points: Float[np.ndarray, "n 3"], steps: int = 2) -> Float[np.ndarray, "n 3"]:
+def on_zero_set(field: FusedField, points: Float[Array, "n 3"], steps: int = 2) -> Float[Array, "n 3"]:
     """Points near the surface moved along the gradient onto the zero set: Newton steps, each at most FARTHEST."""
     moved = torch.as_tensor(points, dtype=torch.float32).clone()
     with torch.no_grad():
@@ -193,8 +188,8 @@ def on_zero_set(field: FusedField, points: Float[np.ndarray, "n 3"], steps: int 
 
 
 def faces_in_picture(
-    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], camera: Camera
-) -> Int[np.ndarray, "g 3"]:
+    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], camera: Camera
+) -> Int[Array, "g 3"]:
     """Faces that may show in the picture: not all three corners beyond the same edge."""
     pixels, depth = project(camera, vertices)
     width, height = camera.size
@@ -207,7 +202,7 @@ def faces_in_picture(
     return faces[(code[a] & code[b] & code[c]) == 0]
 
 
-def first_samples(cover: Bool[np.ndarray, "a b"], samples: int) -> tuple[np.ndarray, np.ndarray]:
+def first_samples(cover: Bool[Array, "a b"], samples: int) -> tuple[Array, Array]:
     """Row and column of the first covered sample of every pixel that has one: the one that is shaded."""
     height, width = cover.shape[0] // samples, cover.shape[1] // samples
     blocks = cover.reshape(height, samples, width, samples).transpose(0, 2, 1, 3).reshape(height, width, -1)
@@ -217,10 +212,7 @@ def first_samples(cover: Bool[np.ndarray, "a b"], samples: int) -> tuple[np.ndar
 
 
 def shaded(
-    cover: Bool[np.ndarray, "a b"],
-    chosen: tuple[np.ndarray, np.ndarray],
-    color: Float[np.ndarray, "n 3"],
-    samples: int,
+    cover: Bool[Array, "a b"], chosen: tuple[Array, Array], color: Float[Array, "n 3"], samples: int
 ) -> MaskedPicture:
     """The picture of one shaded sample a pixel, dimmed by the share of the pixel that is covered."""
     share = block_sum(cover.astype(np.uint8), samples) / np.float32(samples**2)
@@ -229,7 +221,7 @@ def shaded(
     return MaskedPicture(image * share[..., None], share >= 0.5)
 
 
-def averaged(image: Float[np.ndarray, "a b 3"], mask: Bool[np.ndarray, "a b"], samples: int) -> MaskedPicture:
+def averaged(image: Float[Array, "a b 3"], mask: Bool[Array, "a b"], samples: int) -> MaskedPicture:
     """Means of samples x samples blocks; a pixel is inside when at least half of it is."""
     cover = block_sum(mask.astype(np.uint8), samples)
     return MaskedPicture(block_sum(image, samples) / np.float32(samples**2), 2 * cover >= samples**2)

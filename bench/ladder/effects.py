@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 from PIL import Image
 
 from avatar.baked_avatar import Avatar
@@ -115,7 +116,7 @@ class Drawn:
             self.seconds += 1 / 60
             self.renderer.move([self.track.pose((SHOWN if self.case.still else frame) / self.track.rate)], self.seconds)
 
-    def picture(self) -> np.ndarray:
+    def picture(self) -> Array:
         for frame in range(SHOWN + 1):
             self.move(frame)
         return self.renderer.expose(self.views(SHOWN))[..., :3].copy()
@@ -177,9 +178,7 @@ def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[in
     return result
 
 
-def timed_in_turns(
-    bare: Drawn, drawn: Drawn, rounds: int
-) -> tuple[Float[np.ndarray, "rounds 2"], Float[np.ndarray, "rounds 2"]]:
+def timed_in_turns(bare: Drawn, drawn: Drawn, rounds: int) -> tuple[Float[Array, "rounds 2"], Float[Array, "rounds 2"]]:
     """Milliseconds of neighbouring frames, bare and with the effect: passed, and spent by processors."""
     drawn.ms(SHOWN)
     pairs = []
@@ -219,7 +218,7 @@ def effects_markdown(result: Json) -> str:
     return "\n".join([*lines, "", "![each effect: without it, and with it](effects.png)", ""])
 
 
-def _sheet(reference: np.ndarray, pictures: list[np.ndarray], result: Json) -> Image.Image:
+def _sheet(reference: Array, pictures: list[Array], result: Json) -> Image.Image:
     """Pairs: the bare scene, and the scene with the effect."""
     rows = [[reference, picture] for picture in pictures]
     titles = [["bare", f"{row['name']}, {row['times_bare']:.2f} x"] for row in result["effects"]]

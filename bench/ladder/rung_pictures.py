@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, orbit_camera
@@ -59,7 +60,7 @@ def flicker_frames(avatar: Avatar, size: tuple[int, int] = SIZE) -> list[Compare
     return [_seen(clip, i, target + clip.root[first], height, size) for i in range(first, last, step)]
 
 
-def counting(avatar: Avatar) -> tuple[Clip, Float[np.ndarray, "3"], float]:
+def counting(avatar: Avatar) -> tuple[Clip, Float[Array, "3"], float]:
     """The built-in counting clip on this avatar; the middle of its height above the pelvis' place; its height."""
     level = avatar.levels[0]
     rest = skin_transforms(np.zeros((52, 3)), avatar.joint_positions, rest=avatar.canonical_pose)
@@ -69,16 +70,14 @@ def counting(avatar: Avatar) -> tuple[Clip, Float[np.ndarray, "3"], float]:
     return clip, np.array([0.0, 0.5 * height + float(standing[:, 1].min()), 0.0]), height
 
 
-def _seen(
-    clip: Clip, frame: int, target: Float[np.ndarray, "3"], height: float, size: tuple[int, int]
-) -> ComparedFrame:
+def _seen(clip: Clip, frame: int, target: Float[Array, "3"], height: float, size: tuple[int, int]) -> ComparedFrame:
     pose = clip.axis_angle[frame].astype(np.float64), clip.root[frame].astype(np.float64)
     return ComparedFrame(pose, orbit_camera(target, 1.9 * height, 0.25, 0.05, size), None)
 
 
 def rung_pictures(
     context: Context, avatar: Avatar, rung: Rung, frames: Sequence[ComparedFrame]
-) -> list[Float[np.ndarray, "height width 3"]]:
+) -> list[Float[Array, "height width 3"]]:
     """The frames as this rung shows them, brought to full resolution."""
     full = frames[0].camera.size
     renderer = rung.renderer(context, [avatar], full)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.gltf.avatar_file import Avatar, read_avatar
 from bench.bench_command import BenchCommand
@@ -32,7 +33,7 @@ from player.budget.ladder import Timing, rungs_of, time_rungs
 from player.budget.rung import Rung
 from player.gl.context import Context, opened
 
-Pictures = list[Float[np.ndarray, "height width 3"]]
+Pictures = list[Float[Array, "height width 3"]]
 
 
 def bench(command: BenchCommand) -> Json:
@@ -95,9 +96,7 @@ def bench(command: BenchCommand) -> Json:
     return result
 
 
-def person_mask(
-    frame: ComparedFrame, picture: Float[np.ndarray, "height width 3"]
-) -> Bool[np.ndarray, "height width"]:
+def person_mask(frame: ComparedFrame, picture: Float[Array, "height width 3"]) -> Bool[Array, "height width"]:
     """Where the person is: as the truth says, else where anything was drawn."""
     return frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
 
@@ -106,7 +105,7 @@ class MeasuredRung(NamedTuple):
     """A row of the result, milliseconds of each round where the rung took turns with the others, and its pictures."""
 
     row: Json
-    ms: Float[np.ndarray, "rounds"] | None
+    ms: Float[Array, "rounds"] | None
     pictures: Pictures
 
 
@@ -134,7 +133,7 @@ def score_flicker(
     """Add to each row how much its clip flickers beside that of the first rung."""
     frames = flicker_frames(avatar, size)
     references = rung_pictures(context, avatar, rungs[0], frames)
-    masks: list[Bool[np.ndarray, "height width"]] = [picture.max(-1) > 0 for picture in references]
+    masks: list[Bool[Array, "height width"]] = [picture.max(-1) > 0 for picture in references]
     for rung, row in zip(rungs, rows, strict=True):
         drawn = references if rung is rungs[0] else rung_pictures(context, avatar, rung, frames)
         row["flicker"] = flicker(references, drawn, masks)

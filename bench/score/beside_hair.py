@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.skeleton import JOINTS, PARTS
@@ -25,12 +26,12 @@ STRETCHED = 2.0
 LONGER = 0.002
 
 
-def hair_faces(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
+def hair_faces(truth: TrueMesh) -> Bool[Array, "faces"]:
     """True faces that are hair: at least two of their corners are."""
     return truth.hair[truth.faces].sum(1) >= 2
 
 
-def skin_beside_hair(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
+def skin_beside_hair(truth: TrueMesh) -> Bool[Array, "faces"]:
     """True visible faces of head and neck within BESIDE of visible hair, hair apart; canonical pose."""
     middle = truth.canonical()[truth.faces].mean(1)
     hair = hair_faces(truth)
@@ -42,13 +43,13 @@ def skin_beside_hair(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
     return chosen
 
 
-def _head_or_neck(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
+def _head_or_neck(truth: TrueMesh) -> Bool[Array, "faces"]:
     bones = [JOINTS.index("neck"), JOINTS.index("head")]
     own = (truth.part == PARTS.index("head")) | np.isin(truth.skin.heaviest, bones)
     return own[truth.faces].any(1)
 
 
-def skin_to_surface(truth: TrueMesh, vertices: Float[np.ndarray, "w 3"], faces: Int[np.ndarray, "g 3"]) -> float | None:
+def skin_to_surface(truth: TrueMesh, vertices: Float[Array, "w 3"], faces: Int[Array, "g 3"]) -> float | None:
     """Metres, mean from the true skin beside hair to the nearest surface of a canonical reconstruction, also to what
     hair hides of it: skin that was kept under the hair counts. None: no such skin."""
     canonical, chosen = truth.canonical(), truth.faces[skin_beside_hair(truth)]
@@ -63,9 +64,7 @@ def skin_to_surface(truth: TrueMesh, vertices: Float[np.ndarray, "w 3"], faces: 
     return float(closest_points(points, triangle_index(vertices, faces[near])).distance.mean())
 
 
-def edges_at_hair(
-    truth: TrueMesh, vertices: Float[np.ndarray, "w 3"], faces: Int[np.ndarray, "g 3"]
-) -> Int[np.ndarray, "edges 2"]:
+def edges_at_hair(truth: TrueMesh, vertices: Float[Array, "w 3"], faces: Int[Array, "g 3"]) -> Int[Array, "edges 2"]:
     """Edges of a canonical reconstruction of which at least one end lies on true hair, each once.
 
     On hair: the nearest visible true face is hair, not farther than BESIDE.
@@ -78,7 +77,7 @@ def edges_at_hair(
 
 
 def stretched_edges(
-    edges: Int[np.ndarray, "edges 2"], rest: Float[np.ndarray, "w 3"], posed: Iterable[Float[np.ndarray, "w 3"]]
+    edges: Int[Array, "edges 2"], rest: Float[Array, "w 3"], posed: Iterable[Float[Array, "w 3"]]
 ) -> int:
     """How many edges are longer than STRETCHED times their rest length, and by LONGER, in any of the poses."""
     lengths = lambda vertices: np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)

@@ -15,6 +15,7 @@ import flip_evaluator
 import numpy as np
 from flip_evaluator import nbflip  # pyright: ignore[reportAttributeAccessIssue]
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 from skimage.metrics import structural_similarity
 
 from avatar.psnr import PooledError, error_between, pooled
@@ -37,23 +38,23 @@ class Score(NamedTuple):
 
 
 Sample = Score | PooledError
-Perceive = Callable[[Float[np.ndarray, "height width 3"], Float[np.ndarray, "_ _ 3"]], Score]  # LPIPS
+Perceive = Callable[[Float[Array, "height width 3"], Float[Array, "_ _ 3"]], Score]  # LPIPS
 
 
 class ComparedPicture(NamedTuple):
     """One picture beside its truth, and where a region of it is compared."""
 
-    truth: Float[np.ndarray, "height width 3"]
-    image: Float[np.ndarray, "height width 3"]
+    truth: Float[Array, "height width 3"]
+    image: Float[Array, "height width 3"]
     # rows and columns; of those the pixels of `box`, None: all
     where: tuple[slice, slice]
-    box: Bool[np.ndarray, "height width"] | None = None
+    box: Bool[Array, "height width"] | None = None
     # the true person or part; None: not known
-    mask: Bool[np.ndarray, "height width"] | None = None
+    mask: Bool[Array, "height width"] | None = None
     # LPIPS, where its weights are at hand
     perceive: Perceive | None = None
 
-    def cut(self) -> tuple[np.ndarray, np.ndarray]:
+    def cut(self) -> tuple[Array, Array]:
         return self.truth[self.where], self.image[self.where]
 
     def box_error(self) -> PooledError:
@@ -85,16 +86,14 @@ def psnr_score(error: PooledError) -> Score:
 
 
 def checked_error(
-    truth: Float[np.ndarray, "height width 3"],
-    image: Float[np.ndarray, "_ _ 3"],
-    mask: Bool[np.ndarray, "height width"] | None = None,
+    truth: Float[Array, "height width 3"], image: Float[Array, "_ _ 3"], mask: Bool[Array, "height width"] | None = None
 ) -> PooledError:
     """The squared error of pictures that can be compared, over `mask` where given."""
     check_images(truth, image)
     return error_between(truth, image, mask)
 
 
-def ssim(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
+def ssim(truth: Float[Array, "height width 3"], image: Float[Array, "_ _ 3"]) -> Score:
     """Structural similarity (Wang et al. 2004), 7 x 7 uniform window, data range 1, mean over channels.
 
     Smaller images are scored with the largest odd window that fits; under 3 px there is none.
@@ -108,7 +107,7 @@ def ssim(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_
     return Score(float(np.asarray(value)))
 
 
-def flip(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
+def flip(truth: Float[Array, "height width 3"], image: Float[Array, "_ _ 3"]) -> Score:
     """Mean LDR-FLIP (Andersson et al. 2020) at 67 pixels per degree: 0 is equal, 1 the worst.
 
     Black ground that both images share is left out of the work and counted as equal, which it is: FLIP's widest
@@ -127,13 +126,13 @@ def flip(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_
     return Score(float(mean) * (a.size / truth.size))
 
 
-def lpips(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
+def lpips(truth: Float[Array, "height width 3"], image: Float[Array, "_ _ 3"]) -> Score:
     """Learned perceptual distance (Zhang et al. 2018): not measured, because its weights are not shipped."""
     check_images(truth, image)
     return Score(None, LPIPS_REASON)
 
 
-def rectangle(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice] | None:
+def rectangle(mask: Bool[Array, "height width"]) -> tuple[slice, slice] | None:
     """Smallest rows and columns that hold the mask; None when it is empty."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     if len(rows) == 0:
@@ -162,7 +161,7 @@ def pooled_score(samples: Sequence[Sample]) -> Score:
     return next((s for s in samples if isinstance(s, Score)), Score(None, "no images"))
 
 
-def check_images(truth: np.ndarray, image: np.ndarray) -> None:
+def check_images(truth: Array, image: Array) -> None:
     """Refuse images that cannot be compared: other shapes, not finite, or 0..255 where 0..1 is meant."""
     if truth.shape != image.shape:
         raise ValueError(f"images to compare differ in shape: {truth.shape} and {image.shape}")

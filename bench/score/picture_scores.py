@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 from scipy.ndimage import binary_dilation
 
 from avatar.camera import Camera, pixel_rays, project
@@ -26,9 +27,7 @@ from geometry.cells import distance_to
 from player.draw.raster import Rasteriser
 
 # pose, root, camera, squared samples a pixel, pixels that are looked at (others may be left black)
-Draw = Callable[
-    [Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera, int, Bool[np.ndarray, "height width"]], MaskedPicture
-]
+Draw = Callable[[Float[Array, "52 3"], Float[Array, "3"], Camera, int, Bool[Array, "height width"]], MaskedPicture]
 
 VIEW_REGION = {view: region for region, view in REGIONS.items()}
 REGION_PART = {region: PARTS.index(view) for region, view in REGIONS.items() if region != "total"}
@@ -42,9 +41,7 @@ T_POSE = np.radians(5.0)
 NO_EYES = "the capture's truth/rest.npz does not say which surface is eye; `selfscan synth` of today writes it"
 
 
-def box_pixels(
-    camera: Camera, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
-) -> Bool[np.ndarray, "height width"]:
+def box_pixels(camera: Camera, low: Float[Array, "3"], high: Float[Array, "3"]) -> Bool[Array, "height width"]:
     """Pixels whose rays meet an axis-aligned box (slab test, Kay and Kajiya 1986)."""
     origins, directions = pixel_rays(camera)
     safe = np.where(np.abs(directions) > 1e-12, directions, 1e-12)
@@ -57,9 +54,9 @@ def box_pixels(
 class Region(NamedTuple):
     """Where one region of one picture is compared."""
 
-    mask: Bool[np.ndarray, "height width"]  # its true pixels
+    mask: Bool[Array, "height width"]  # its true pixels
     # the pixels looked at; both pictures are black elsewhere
-    around: Bool[np.ndarray, "height width"]
+    around: Bool[Array, "height width"]
 
 
 def region_of(view: HeldOutView, region: str) -> Region:
@@ -71,8 +68,8 @@ def region_of(view: HeldOutView, region: str) -> Region:
 
 
 def eye_region(
-    raster: Rasteriser, truth: TrueMesh, posed: Float[np.ndarray, "vertices 3"], camera: Camera
-) -> Bool[np.ndarray, "height width"]:
+    raster: Rasteriser, truth: TrueMesh, posed: Float[Array, "vertices 3"], camera: Camera
+) -> Bool[Array, "height width"]:
     """Pixels within GROWN of those that show an eyeball of the posed truth; none where no eye is seen."""
     width, height = camera.size
     if truth.eye is None:
@@ -121,7 +118,7 @@ def score_images(
     scores = SetScores({region: ImageScores() for region in (*REGIONS, *["eyes"] * with_eyes)}, {})
     vertices_of = {region: np.flatnonzero(mesh.part == part) for region, part in REGION_PART.items()}
     vertices_of["total"] = np.unique(mesh.faces)
-    posed: tuple[int, np.ndarray] = (-1, np.zeros((0, 3)))
+    posed: tuple[int, Array] = (-1, np.zeros((0, 3)))
     for view, own in progress(zip(views, ours or views, strict=True), label, len(views)):
         if posed[0] != view.pose_index:
             posed = view.pose_index, mesh.posed(view.axis_angle, view.root)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
@@ -18,24 +19,22 @@ from capture.held_out import read_arrays
 class TrueMesh:
     """The subject itself, pose 0, pelvis joint at the origin, metres."""
 
-    vertices: Float[np.ndarray, "vertices 3"]
-    faces: Int[np.ndarray, "faces 3"]
+    vertices: Float[Array, "vertices 3"]
+    faces: Int[Array, "faces 3"]
     skin: SkinWeights
-    joints: Float[np.ndarray, "52 3"]
-    part: Int[np.ndarray, "vertices"]  # index into PARTS
-    hair: Bool[np.ndarray, "vertices"]
+    joints: Float[Array, "52 3"]
+    part: Int[Array, "vertices"]  # index into PARTS
+    hair: Bool[Array, "vertices"]
     # seen from outside in pose 0
-    visible: Bool[np.ndarray, "faces"]
+    visible: Bool[Array, "faces"]
     # vertices of the eyeballs; None: the capture does not say
-    eye: Bool[np.ndarray, "vertices"] | None = None
+    eye: Bool[Array, "vertices"] | None = None
 
-    def posed(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "vertices 3"]:
+    def posed(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"]) -> Float[Array, "vertices 3"]:
         transforms = skin_transforms(axis_angle, self.joints, root, rest=np.zeros((52, 3)))
         return skin_points(self.vertices, self.skin, transforms)
 
-    def canonical(self) -> Float[np.ndarray, "vertices 3"]:
+    def canonical(self) -> Float[Array, "vertices 3"]:
         """Vertices in the big pose, by the subject's own weights."""
         return self.posed(BIG_POSE, self.joints[0])
 

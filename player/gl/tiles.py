@@ -5,6 +5,7 @@ In software a filter costs what it covers: on these tiles FXAA is about half as 
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt16
+from numpy import ndarray as Array
 
 from avatar.baked_avatar import Level
 from avatar.camera import Camera
@@ -43,8 +44,8 @@ class Patches:
         self.joints, self.first = np.array(joints, np.intp), np.array(first, np.intp)
 
     def balls(
-        self, view_from_canonical: Float[np.ndarray, "bones 4 4"], *, dual: bool, reach: float = 0.0
-    ) -> tuple[Float[np.ndarray, "balls 3"], Float[np.ndarray, "balls"]]:
+        self, view_from_canonical: Float[Array, "bones 4 4"], *, dual: bool, reach: float = 0.0
+    ) -> tuple[Float[Array, "balls 3"], Float[Array, "balls"]]:
         """Middle in view space and radius of the balls that hold the surface, metres.
 
         dual: the blend of screws bulges out of the hull by at most half of what the bones disagree. reach: of loose
@@ -58,8 +59,8 @@ class Patches:
         return points, self.radii + reach + np.repeat(0.5 * np.linalg.norm(spread, axis=1), counts)
 
     def boxes(
-        self, view_from_canonical: Float[np.ndarray, "bones 4 4"], camera: Camera, *, dual: bool, reach: float = 0.0
-    ) -> Float[np.ndarray, "patches 4"]:
+        self, view_from_canonical: Float[Array, "bones 4 4"], camera: Camera, *, dual: bool, reach: float = 0.0
+    ) -> Float[Array, "patches 4"]:
         """Left, top, right, bottom of each patch, pixels; infinite where a ball reaches behind the eye."""
         boxes = ball_boxes(*self.balls(view_from_canonical, dual=dual, reach=reach), camera)
         lower = np.minimum.reduceat(boxes[:, :2], self.first)
@@ -67,8 +68,8 @@ class Patches:
 
 
 def ball_boxes(
-    centers: Float[np.ndarray, "balls 3"], radii: Float[np.ndarray, "balls"], camera: Camera
-) -> Float[np.ndarray, "balls 4"]:
+    centers: Float[Array, "balls 3"], radii: Float[Array, "balls"], camera: Camera
+) -> Float[Array, "balls 4"]:
     """Left, top, right, bottom of balls in view space, pixels; infinite where one reaches behind the eye.
 
     A ball's image lies between the slopes (c -+ r) / depth taken at its nearer or farther end.
@@ -89,9 +90,7 @@ def ball_boxes(
     return boxes
 
 
-def covered(
-    boxes: Float[np.ndarray, "boxes 4"], size: tuple[int, int], margin: int
-) -> Bool[np.ndarray, "rows columns"]:
+def covered(boxes: Float[Array, "boxes 4"], size: tuple[int, int], margin: int) -> Bool[Array, "rows columns"]:
     """Tiles that boxes, grown by `margin` pixels, touch."""
     tiles = np.zeros((-(-size[1] // TILE), -(-size[0] // TILE)), bool)
     rows, columns = tiles.shape
@@ -103,8 +102,8 @@ def covered(
 
 
 def rectangles(
-    tiles: Bool[np.ndarray, "rows columns"], size: tuple[int, int], *, flipped: bool
-) -> UInt16[np.ndarray, "rectangles 4"]:
+    tiles: Bool[Array, "rows columns"], size: tuple[int, int], *, flipped: bool
+) -> UInt16[Array, "rectangles 4"]:
     """Runs of tiles in each row, as left, first row, right, end row in pixels, no pixel twice.
 
     Rows count as GL counts them: from the top where the picture is drawn upside down (flipped), else from below.
@@ -112,7 +111,7 @@ def rectangles(
     edges = np.diff(np.pad(tiles, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     row, left = np.nonzero(edges > 0)
     _, right = np.nonzero(edges < 0)
-    out: Int[np.ndarray, "rectangles 4"] = TILE * np.stack([left, row, right, row + 1], 1)
+    out: Int[Array, "rectangles 4"] = TILE * np.stack([left, row, right, row + 1], 1)
     np.minimum(out, [*size, *size], out=out)
     if not flipped:
         out[:, [1, 3]] = size[1] - out[:, [3, 1]]

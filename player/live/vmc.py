@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.rotation import quaternion_from_axis_angle
 from avatar.skeleton import PARENTS
@@ -68,10 +69,10 @@ class VmcState(NamedTuple):
 class VmcRig(NamedTuple):
     """A state in our axes and order, not yet normalised."""
 
-    rotations: Float[np.ndarray, "52 4"]  # parent_from_bone
-    hips: Float[np.ndarray, "3"]  # in the root's frame
-    root_rotation: Float[np.ndarray, "4"]
-    root: Float[np.ndarray, "3"]
+    rotations: Float[Array, "52 4"]  # parent_from_bone
+    hips: Float[Array, "3"]  # in the root's frame
+    root_rotation: Float[Array, "4"]
+    root: Float[Array, "3"]
     # metres from the pelvis' height to the ankle, along the bones
     leg: float | None
 
@@ -197,7 +198,7 @@ def rig_from_state(state: VmcState) -> VmcRig:
     return VmcRig(rotations, poses[0, :3], root[3:] / np.linalg.norm(root[3:]), root[:3], leg_length(poses[:, :3]))
 
 
-def leg_length(offsets: Float[np.ndarray, "52 3"]) -> float | None:
+def leg_length(offsets: Float[Array, "52 3"]) -> float | None:
     """Metres from pelvis to ankle: the hip's drop, thigh and shin, the mean of both legs.
 
     `offsets` are the joints from their parents. None where that is no leg (under 0.1 m or over 5 m): the sender
@@ -211,7 +212,7 @@ def leg_length(offsets: Float[np.ndarray, "52 3"]) -> float | None:
     return length if 0.1 < length < 5 else None
 
 
-def joint_offsets(joints: Float[np.ndarray, "52 3"]) -> Float[np.ndarray, "52 3"]:
+def joint_offsets(joints: Float[Array, "52 3"]) -> Float[Array, "52 3"]:
     """Rest positions of the joints from their parents; the pelvis' is zero."""
     offsets = np.zeros((52, 3))
     offsets[1:] = joints[1:] - joints[PARENTS[1:]]
@@ -221,15 +222,13 @@ def joint_offsets(joints: Float[np.ndarray, "52 3"]) -> Float[np.ndarray, "52 3"
 class VmcEncoder:
     """Poses to bundles, one a frame: all bones of a frame arrive, or none. 52 bones, about 4 KB."""
 
-    def __init__(self, joints: Float[np.ndarray, "52 3"]):
+    def __init__(self, joints: Float[Array, "52 3"]):
         self.offsets = joint_offsets(joints) * [-1.0, 1, 1]
         self.heads = [build_message("/VMC/Ext/Bone/Pos", name, *[0.0] * 7)[:-28] for name in BONES]
         self.root = build_message("/VMC/Ext/Root/Pos", "root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
         self.ok = build_message("/VMC/Ext/OK", 1, 3, 0, 1)
 
-    def encode(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], seconds: float | int
-    ) -> bytes:
+    def encode(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], seconds: float | int) -> bytes:
         """The bundle of a pose; `seconds` is the sender's clock."""
         positions = self.offsets.copy()
         positions[0] = root * np.array([-1.0, 1, 1])

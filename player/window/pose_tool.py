@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, pixel_rays, project
 from avatar.limits import joint_angles, limits
@@ -52,10 +53,10 @@ class Drag:
     pressed: tuple[float, float] | None = None
     # a handle, and from the pointer to it, metres
     handle: PullHandle | None = None
-    offset: Float[np.ndarray, "3"] | None = None
+    offset: Float[Array, "3"] | None = None
     # the rings: their axes when they were seized and now, world
-    seized: Float[np.ndarray, "3 3"] | None = None
-    axes: Float[np.ndarray, "3 3"] | None = None
+    seized: Float[Array, "3 3"] | None = None
+    axes: Float[Array, "3 3"] | None = None
     moved: bool = False
 
 
@@ -92,7 +93,7 @@ class PoseTool:
         """Pixels a window unit."""
         return self.state.layout.screen.scale
 
-    def ring_axes(self) -> Float[np.ndarray, "3 3"]:
+    def ring_axes(self) -> Float[Array, "3 3"]:
         """Axes of the rings as columns, world: x, y and z, or the joint's own. Those are flexion, abduction and
         twist, carried along by its swing and not by its twist, so that a hinge's first ring changes its flexion
         alone, and every third ring the twist alone. While a ring is held they are as it was turned, whatever the
@@ -108,7 +109,7 @@ class PoseTool:
         # the table's axes of some joints are left-handed, those of the gizmo are not
         return out * [1.0, 1.0, np.sign(np.linalg.det(out))]
 
-    def place(self, handle: PullHandle) -> Float[np.ndarray, "3"]:
+    def place(self, handle: PullHandle) -> Float[Array, "3"]:
         return self.session.world()[handle.joint, :3, 3]
 
     def under(self, x: float, y: float) -> PullHandle | None:
@@ -149,7 +150,7 @@ class PoseTool:
         pixel = np.array([x, y], np.float64)
         self._pull(held.handle, held, on_plane_through(camera, self._start_place(held), pixel) + held.offset)
 
-    def turn(self, axes: Float[np.ndarray, "3 3"]) -> None:
+    def turn(self, axes: Float[Array, "3 3"]) -> None:
         """A ring is held and turned so that the rings' axes are these."""
         joint = self.joint
         if joint is None:
@@ -165,12 +166,12 @@ class PoseTool:
         held.axes = axes
         self.session.turn(held.start, joint, axis_angle_from_matrix(axes @ held.seized.T), 1.0, drag=held)
 
-    def _start_place(self, held: Drag) -> Float[np.ndarray, "3"]:
+    def _start_place(self, held: Drag) -> Float[Array, "3"]:
         """Where the handle was: all of a drag is at that depth."""
         assert held.handle is not None
         return _places(self.session, held.start)[held.handle.joint]
 
-    def _pull(self, handle: PullHandle, held: Drag, target: Float[np.ndarray, "3"]) -> None:
+    def _pull(self, handle: PullHandle, held: Drag, target: Float[Array, "3"]) -> None:
         session, start = self.session, held.start
         if handle.kind == "body":
             session.move(start, start.root + target - self._start_place(held), drag=held)
@@ -216,15 +217,12 @@ class PoseTool:
         return True
 
 
-def _places(session: PoseSession, pose: Pose) -> Float[np.ndarray, "52 3"]:
+def _places(session: PoseSession, pose: Pose) -> Float[Array, "52 3"]:
     return joint_transforms(pose.axis_angle, session.joints, pose.root)[:, :3, 3]
 
 
 def picked_joint(
-    places: Float[np.ndarray, "joints 3"],
-    camera: Camera,
-    pixel: Float[np.ndarray, "2"],
-    near_enough: float | int = 14.0,
+    places: Float[Array, "joints 3"], camera: Camera, pixel: Float[Array, "2"], near_enough: float | int = 14.0
 ) -> int | None:
     """The joint under the pointer: of those within `near_enough` pixels the nearest on the screen, then to the eye."""
     pixels, depth = project(camera, places)
@@ -234,9 +232,7 @@ def picked_joint(
     return int(np.lexsort((depth, np.round(distance)))[0])
 
 
-def on_plane_through(
-    camera: Camera, point: Float[np.ndarray, "3"], pixel: Float[np.ndarray, "2"]
-) -> Float[np.ndarray, "3"]:
+def on_plane_through(camera: Camera, point: Float[Array, "3"], pixel: Float[Array, "2"]) -> Float[Array, "3"]:
     """The world point under the pointer at the same depth as `point`: where a handle is dragged to."""
     origins, directions = pixel_rays(camera, np.asarray(pixel, np.float64)[None])
     forward = camera.camera_from_world[2, :3]

@@ -12,7 +12,7 @@ from avatar.camera import Camera, project
 from command.progress import progress
 from player.film.encoder import X264, encode
 from synth.film import write_frames
-from synth.light import StudioLight
+from synth.light import FilmLight
 from synth.options import RawConfig
 from synth.photo import Studio
 from synth.raw.backdrop import Backdrop, backdrop
@@ -37,9 +37,7 @@ def mistakes_of(config: RawConfig) -> Mistakes:
     return Mistakes(config.keypoint_noise, config.keypoint_bias / 100)
 
 
-def film_raw(
-    folder: Path, studio: Studio, lights: dict[str, StudioLight | Room], size: int, config: RawConfig, seed: int
-):
+def film_raw(folder: Path, studio: Studio, lights: dict[str, FilmLight], size: int, config: RawConfig, seed: int):
     """Write the four videos, their keypoints and, in truth/, what is hidden from other stages; returns the shots."""
     wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
     plan = plan_raw_videos(studio, wide, config.seconds, RATE, config.sway, seed)
@@ -54,7 +52,7 @@ def film_raw(
 
 
 def _frames(
-    folder: Path, studio: Studio, shots: RawShots, light: StudioLight | Room, config: RawConfig, seed: list[int]
+    folder: Path, studio: Studio, shots: RawShots, light: FilmLight, config: RawConfig, seed: list[int]
 ) -> Iterator[UInt8[Array, "height width 4"]]:
     """One video, RGBA; keypoints and masks are written by the way."""
     count, part = len(shots.root), shots.part
@@ -88,7 +86,7 @@ def taken(
     behind: Backdrop,
     vertices: Float[Array, "vertices 3"],
     i: int,
-    light: StudioLight | Room,
+    light: FilmLight,
     lit: VertexLight | None,
 ) -> tuple[Float[Array, "height width 3"], UInt8[Array, "height width"]]:
     """The person in the room, and the person's mask (0 to 255)."""
@@ -101,7 +99,7 @@ def taken(
         return picture, coverage
     x0, y0, x1, y1 = box
     camera = shots.camera.cropped(x0, y0, (x1 - x0, y1 - y0))
-    exposed = studio.expose(vertices, camera, light, 0.0, lit)
+    exposed = studio.expose(vertices, camera, light, lit)
     share = exposed.coverage[..., None]
     picture[y0:y1, x0:x1] = exposed.color + (1 - share) * picture[y0:y1, x0:x1]
     coverage[y0:y1, x0:x1] = np.round(255 * exposed.coverage)
@@ -124,7 +122,7 @@ class _Lighting:
     """Light in a room for each frame: found for steady poses some way apart, so that the body's own openness serves
     every heading, and interpolated."""
 
-    def __init__(self, studio: Studio, shots: RawShots, light: StudioLight | Room):
+    def __init__(self, studio: Studio, shots: RawShots, light: FilmLight):
         self.studio, self.shots, self.light = studio, shots, light
         self.step = round(LIGHT_STEP * RATE)
         self.known: dict[int, VertexLight] = {}
