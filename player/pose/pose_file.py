@@ -14,7 +14,7 @@ from avatar.motion.clip import Clip, fitted
 from avatar.motion.read import read_motion
 from command.errors import AssetError
 from files.npz import read_npz
-from player.pose.keyframes import Easing, Keys, Pose, clip_of
+from player.pose.keyframes import Easing, Keys, Pose
 
 # frames that may become keys, one each, where a file has no key frames of its own
 LONGEST = 20_000
@@ -52,24 +52,10 @@ def read_pose(path: Path | str, *, pelvis_height: float | None = None) -> Pose:
     return Pose(clip.axis_angle[0], clip.root[0])
 
 
-def write_keys(
-    path: Path | str,
-    keys: Keys,
-    rate: float | int,
-    *,
-    easing: Easing = "linear",
-    pelvis_height: float | None,
-    up: str = "z",
-) -> None:
-    """Every frame of the timeline; the keys' own numbers go beside, so that reading gives the same keys.
-
-    Raises:
-        ValueError: there are no keys.
-    """
-    if not keys:
-        raise ValueError("a timeline without keys cannot be written")
+def write_keys(path: Path | str, clip: Clip, keys: Keys, easing: Easing, *, up: str = "z") -> None:
+    """Every frame of the timeline; the keys' own numbers go beside, so that reading gives the same keys."""
     beside = {KEY_FRAMES: np.array([frame for frame, _ in keys]), EASING: np.array(easing)}
-    write_amass(path, clip_of(keys, rate, easing, pelvis_height), up=up, beside=beside)
+    write_amass(path, clip, up=up, beside=beside)
 
 
 def read_keys(path: Path | str, *, pelvis_height: float | None = None) -> KeyedTimeline:

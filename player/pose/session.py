@@ -280,9 +280,7 @@ class PoseSession:
     def save(self, path: Path | str, *, up: str = "z") -> str:
         """Write the keys, or the pose where there are none; what was written, in words."""
         if self.keys:
-            pose_file.write_keys(
-                path, self.keys, self.rate, easing=self.state.easing, pelvis_height=self.pelvis_height, up=up
-            )
+            pose_file.write_keys(path, self.clip(), self.keys, self.state.easing, up=up)
             done = f"{path}: {plural(len(self.keys), 'keyframe')}, {plural(self.keys[-1][0] + 1, 'frame')}"
         else:
             pose_file.write_pose(path, self.pose, pelvis_height=self.pelvis_height, up=up)

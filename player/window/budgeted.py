@@ -11,7 +11,6 @@ from player.budget.measure import BudgetScene, effect_prices
 from player.budget.table import rung_within
 from player.draw.drawing import Pose
 from player.effects.secondary_motion import is_loose
-from player.gl.context import Context
 from player.scene.effects import Effects
 from player.window.look import Appearance
 from player.window.state import Messages
@@ -27,19 +26,10 @@ NOT_LOOSE, NO_LIGHT = "nothing of it is loose", "not lit anew: its file has no l
 class Budgeted:
     """What the window draws within `budget`, ms of a frame's own work. A view mode or level chosen by hand ends it."""
 
-    def __init__(
-        self,
-        context: Context,
-        look: Appearance,
-        files: Sequence[str],
-        frames: Sequence[tuple[Sequence[Pose], Camera]],
-        size: tuple[int, int],
-        budget: float,
-        messages: Messages,
-    ):
+    def __init__(self, look: Appearance, scene: BudgetScene, files: Sequence[str], budget: float, messages: Messages):
+        """scene: what the look draws in some frames; files: those of the avatars."""
         self._look, self._messages, self.budget = look, messages, budget
-        scene = BudgetScene(look.avatars, frames, size, look.effects, look.background, reads_back=False)
-        priced, chosen = rung_within(context, scene, files, budget=budget)
+        priced, chosen = rung_within(look.context, scene, files, budget=budget)
         print(choice_words(chosen, priced, budget))
         self.controller: BudgetController | None = BudgetController(priced, budget, chosen)
         self._show()
@@ -84,21 +74,19 @@ class EffectPrices:
         """Time the effects as soon as a few frames were drawn."""
         self.wanted, self._seen = True, []
 
-    def drawn(self, context: Context, look: Appearance, poses: Sequence[Pose], camera: Camera) -> None:
+    def drawn(self, look: Appearance, poses: Sequence[Pose], camera: Camera) -> None:
         """A frame of the window was drawn so."""
         if not self.wanted:
             return
         self._seen.append((list(poses), camera))
         if len(self._seen) == FRAMES:
-            scene = BudgetScene(
-                look.avatars, self._seen, camera.size, look.effects, look.background, reads_back=False
-            )  # fmt: skip
             offered = [
                 setting.name for setting in settings_of(Effects)
                 if setting.table is not None and setting.value_in(look.effects) is None
                 and not without_effect(setting.name, look.effects, look.avatars)
             ]  # fmt: skip
-            self._ms = effect_prices(context, scene, look.rung, rounds=ROUNDS, offered=offered)
+            scene = look.scene(self._seen, camera.size)
+            self._ms = effect_prices(look.context, scene, look.rung, rounds=ROUNDS, offered=offered)
             self._of = look.effects
             self.wanted = False
 

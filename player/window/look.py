@@ -3,39 +3,35 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from avatar.baked_avatar import Avatar
 from command.errors import AssetError
+from player.budget.ladder import Frame
+from player.budget.measure import BudgetScene
 from player.budget.rung import Rung
 from player.draw.detail import BySize
 from player.effects.background import Background
 from player.gl.context import Context
 from player.scene.effects import Effects
 from player.scene.renderer import Renderer
+from player.window.show import Show
 from player.window.state import Messages
 
 
 class Appearance:
     """The renderer of the window and what it was asked for. Over a video the background is drawn last, under all."""
 
-    def __init__(
-        self,
-        context: Context,
-        avatars: Sequence[Avatar],
-        effects: Effects,
-        background: Background,
-        *,
-        over_video: bool,
-        messages: Messages,
-        by_size: bool = False,
-    ):
-        self._context, self.avatars, self._messages = context, avatars, messages
-        self.effects, self.background = effects, background
+    def __init__(self, context: Context, show: Show, messages: Messages):
+        self.context, self.avatars, self._messages = context, show.avatars, messages
+        self.effects, self.background = show.effects, show.background
         # what it draws of the avatars: level of detail, textures, joints
-        self.rung = Rung("as the file is", effects.view)
-        self._over_video = over_video
+        self.rung = Rung("as the file is", show.effects.view)
+        self._over_video = show.capture is not None
         # coarser levels where avatars are small
-        self.by_size = by_size
-        self.renderer = self._new_renderer(effects, background, self.rung)
+        self.by_size = False
+        self.renderer = self._new_renderer(self.effects, self.background, self.rung)
+
+    def scene(self, frames: Sequence[Frame], size: tuple[int, int]) -> BudgetScene:
+        """What is drawn now in such frames, to be timed."""
+        return BudgetScene(self.avatars, frames, size, self.effects, self.background, reads_back=False)
 
     @property
     def level(self) -> int:
@@ -85,7 +81,7 @@ class Appearance:
     def _new_renderer(self, effects: Effects, background: Background, rung: Rung) -> Renderer:
         background, avatars = self._drawn_first(background), rung.prepared(self.avatars)
         level = BySize(rung.level) if self.by_size else rung.level
-        return Renderer(self._context, avatars, None, effects=effects, background=background, level=level)
+        return Renderer(self.context, avatars, None, effects=effects, background=background, level=level)
 
     def _drawn_first(self, background: Background) -> Background:
         return Background("transparent") if self._over_video else background

@@ -48,11 +48,8 @@ def opened_parts(show: Show, screen: Screen, clock: Callable[[], float]) -> Wind
     return WindowParts(
         state=state,
         viewpoint=Viewpoint(state, show.cameras, capture=capture, follow=show.follow),
-        look=Appearance(
-            screen.context, show.avatars, show.effects, show.background, over_video=capture is not None,
-            messages=messages,
-        ),
+        look=Appearance(screen.context, show, messages),
         posing=Posing(state),
         recorder=Recorder(state, clock),
         wipe=Wipe(screen.context, capture) if capture is not None else None,
-    )  # fmt: skip
+    )

@@ -81,7 +81,8 @@ class Window:
         parts.state.messages.say(f"timing what holds {budget:.3g} ms a frame; up to a minute the first time ...")
         self.draw()
         glfw.poll_events()
-        return Budgeted(self.screen.context, parts.look, files, frames, size, budget, parts.state.messages)
+        scene = parts.look.scene(frames, size)
+        return Budgeted(parts.look, scene, files, budget, parts.state.messages)
 
     def _connect(self) -> None:
         """glfw calls what a script calls."""
@@ -187,7 +188,7 @@ class Window:
             # the work itself, whatever the screen waits for
             self.screen.context.gl.finish()
             parts.budget.frame(1e3 * (self.clock() - began), filming=parts.recorder.film is not None)
-        parts.prices.drawn(self.screen.context, look, parts.state.last.poses, camera)
+        parts.prices.drawn(look, parts.state.last.poses, camera)
         if parts.wipe is not None:
             screen.use()
             around = look.background.color[:3]
