@@ -8,12 +8,13 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, Real, UInt8
+from numpy import ndarray as Array
 
-from avatar.baked_avatar import Avatar
+from avatar.baked_avatar import Avatar, Level
 from bench.inspect.mesh_facts import medians_by_part
 from bench.inspect.page import Check, PageSection
 from bench.inspect.views import InspectView, standard_views, strip
@@ -31,8 +32,15 @@ LIFT = 0.0004
 class KnownDistances:
     """Distances to what only a run or a capture knows; None where they were not given."""
 
-    field: Float[np.ndarray, "faces"] | None  # millimetres, signed, per triangle
-    truth: Float[np.ndarray, "vertices"] | None  # millimetres, per vertex
+    field: Float[Array, "faces"] | None  # millimetres, signed, per triangle
+    truth: Float[Array, "vertices"] | None  # millimetres, per vertex
+
+
+class ColoredLines(NamedTuple):
+    """Edges of a mesh that are drawn a little above it."""
+
+    edges: Int[Array, "edges 2"]
+    colors: UInt8[Array, "edges 3"]
 
 
 class MeshPlotter:
@@ -54,27 +62,20 @@ class MeshPlotter:
             self.plotters[size] = plotter
 
     def draw(
-        self,
-        points: Float[np.ndarray, "vertices 3"],
-        faces: Int[np.ndarray, "faces 3"],
-        colors: UInt8[np.ndarray, "n 3"],
-        *,
-        wire: bool = False,
-        lines: Int[np.ndarray, "edges 2"] | None = None,
-        line_colors: UInt8[np.ndarray, "edges 3"] | None = None,
-        normals: Float[np.ndarray, "vertices 3"] | None = None,
-    ) -> UInt8[np.ndarray, "height width 3"]:
+        self, level: Level, colors: UInt8[Array, "n 3"], lines: ColoredLines | None, *, wire: bool
+    ) -> UInt8[Array, "height width 3"]:
         """The strip of views; colors are one a vertex or one a triangle. `wire` draws the edges in close views."""
         pv = self.pyvista
+        points, faces = level.positions.astype(np.float64), level.faces.astype(np.int64)
         mesh = pv.PolyData.from_regular_faces(points.astype(np.float32), faces)
         mesh["rgb"] = colors
         shading = {"scalars": "rgb", "rgb": True, "ambient": 0.35, "diffuse": 0.65, "specular": 0.0}
         edges = None
-        if lines is not None and len(lines):
-            raised = points if normals is None else points + LIFT * normals
-            table = np.concatenate([np.full((len(lines), 1), 2), lines], axis=1)
+        if lines is not None and len(lines.edges):
+            raised = points + LIFT * level.normals.astype(np.float64)
+            table = np.concatenate([np.full((len(lines.edges), 1), 2), lines.edges], axis=1)
             edges = pv.PolyData(raised.astype(np.float32), lines=table.ravel())
-            edges["rgb"] = line_colors
+            edges["rgb"] = lines.colors
         for plotter in self.plotters.values():
             plotter.clear_actors()
         near = min(size for size, _ in self.plotters)
@@ -84,7 +85,7 @@ class MeshPlotter:
                 plotter.add_mesh(edges, scalars="rgb", rgb=True, line_width=3, lighting=False)
         return strip([self._from(view) for view in self.views])
 
-    def _from(self, view: InspectView) -> UInt8[np.ndarray, "height width 3"]:
+    def _from(self, view: InspectView) -> UInt8[Array, "height width 3"]:
         plotter = self.plotters[view.camera.size]
         camera = plotter.camera
         camera.position, camera.focal_point, camera.up = view.camera.eye, view.target, (0.0, 1.0, 0.0)
@@ -110,14 +111,13 @@ class Inspector:
         self.checks, self.sections = list[Check](), list[PageSection]()
         self.facts: Json = {"format": "selfscan-inspection", "version": 1, "avatar": path.name}
 
-    def draw(self, colors: Real[np.ndarray, "n 3"], **lines: Any) -> np.ndarray:
+    def draw(self, colors: Real[Array, "n 3"], lines: ColoredLines | None = None, *, wire: bool = False) -> Array:
         """The finest level in these colors, 0 to 255, one a vertex or one a triangle."""
         if self.studio is None:
             self.studio = MeshPlotter(self.views, self.context.kind)
-        points, faces = self.level.positions.astype(np.float64), self.level.faces.astype(np.int64)
-        return self.studio.draw(points, faces, np.round(colors).astype(np.uint8), **lines)
+        return self.studio.draw(self.level, np.round(colors).astype(np.uint8), lines, wire=wire)
 
-    def medians(self, fact: str, millimetres: Float[np.ndarray, "faces"]) -> dict[str, float | None]:
+    def medians(self, fact: str, millimetres: Float[Array, "faces"]) -> dict[str, float | None]:
         """The median of each part's triangles, by area, which becomes a fact."""
         by_part = self.facts[fact] = medians_by_part(self.level, millimetres)
         return by_part

@@ -10,7 +10,7 @@ from avatar.skinning import dense_weights
 from avatar.texture import mip_levels
 from bench.inspect import mesh_facts
 from bench.inspect.colors import ABSENT, PALE, PART_COLORS, SEQUENTIAL, Legend, Ramp, categorical, rgb
-from bench.inspect.inspection import GREY, Inspector
+from bench.inspect.inspection import GREY, ColoredLines, Inspector
 from bench.inspect.mesh_facts import MIPS
 from bench.inspect.page import PagePicture, PageSection, picture
 from capture.read.template import part_of
@@ -97,12 +97,8 @@ def seams(inspector: Inspector) -> PageSection:
         inspector.check(what, f"median {median:.2f}, p99 {p99:.2f} of 255", expected, good and p99 <= SEAM_P99)
     pictures, shown = [], levels[0][1]
     for mip in (0, MIPS - 1):
-        image = inspector.draw(
-            np.tile(np.array(GREY, np.float64), (len(inspector.level.positions), 1)),
-            lines=shown.edges,
-            line_colors=SEAMS.colors(shown.steps[mip].max(0)),
-            normals=inspector.level.normals.astype(np.float64),
-        )
+        grey = np.tile(np.array(GREY, np.float64), (len(inspector.level.positions), 1))
+        image = inspector.draw(grey, ColoredLines(shown.edges, SEAMS.colors(shown.steps[mip].max(0))))
         near = "seen from near (mip 0)" if mip == 0 else f"seen from {2**mip} times as far (mip {mip})"
         pictures.append(picture(f"seams_mip{mip}", image, f"color step of the finest level, {near}"))
     return PageSection("seams", pictures, SEAMS.legend(), rows)
