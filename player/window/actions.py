@@ -1,6 +1,6 @@
 """The table of keys: what each does, in words and in code. From it come the keys (player/window/keyboard.py), the
 help over the picture and in `selfscan play --help`, the tooltips of buttons, and the tables of docs/play.md and
-docs/posing.md (player/window/help.py).
+docs/posing.md (experiments/key_docs.py).
 
 An `Action` is one thing that keys do; a button that does the same is made from it. Actions are grouped by when their
 keys hold; the groups of a mode (first person, posing) go before the others.

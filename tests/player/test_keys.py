@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 
 from command.command_line import parser_of
+from experiments.key_docs import DOCS, TABLES, with_table
 from player.play_command import PLAY, PlayCommand
 from player.window import actions
 from player.window.actions import GROUPS, Action
-from player.window.help import DOCS, TABLES, command_line_help, rows, with_table
+from player.window.help import command_line_help, rows
 from player.window.keyboard import KEYS
 
 ACTIONS = [action for group in GROUPS for action in group.actions]
@@ -32,7 +33,7 @@ def test_no_key_means_two_things_in_one_group():
 
 @pytest.mark.parametrize("name", TABLES)
 def test_the_documentation_has_the_table_of_keys_as_it_is(name):
-    """Else: python -m player.window.help"""
+    """Else: python -m experiments.key_docs"""
     page = (DOCS / name).read_text("utf-8")
     assert page == with_table(page, TABLES[name])
     for group in TABLES[name]:
