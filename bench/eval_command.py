@@ -19,7 +19,6 @@ class EvalCommand:
         "capture folder with truth/ (selfscan synth), or of a raw scan (synth --raw --keypoints --held-out)"]
     json: Annotated[Path | None, Option(metavar="FILE"), "write every number here as well"] = None
     markdown: Annotated[Path | None, Option(metavar="FILE"), "write the table here as Markdown"] = None
-    ceiling: Annotated[bool, "also score the true mesh under our skin weights: the best to be had"] = False
     poses: Annotated[int | None, AtLeast(1), "a quick look: only N poses of each set"] = None
     lpips: Annotated[tuple[Path, ...], Option(metavar="FILE", several=True),
         "LPIPS's weights, which are not shipped: one file of the whole network's state dictionary, or torchvision's "
@@ -49,10 +48,7 @@ def eval_main(argv: list[str]) -> int:
     from bench.score.quality import evaluate
     from bench.score.quality_table import markdown, print_table
 
-    result = evaluate(
-        command.subject, command.capture, ceiling=command.ceiling, poses=command.poses, run=command.run,
-        lpips=command.lpips,
-    )  # fmt: skip
+    result = evaluate(command.subject, command.capture, poses=command.poses, run=command.run, lpips=command.lpips)
     print_table(result)
     if command.json:
         write_json(command.json, result)

@@ -25,7 +25,6 @@ from bench.ladder.machine import machine
 from bench.ladder.remeasure import baked_facts, recorded_facts, remeasured
 from bench.report.writer import Json
 from bench.score.beside_hair import edges_at_hair, skin_to_surface, stretched_edges
-from bench.score.ceiling import CeilingDrawer
 from bench.score.filmed_poses import FilmedPoses, filmed_poses
 from bench.score.fitted_poses import fitted_views
 from bench.score.lpips import read_perceptual
@@ -102,13 +101,7 @@ class Evaluated:
 
 
 def evaluate(
-    path: Path,
-    capture: Path,
-    *,
-    ceiling: bool = False,
-    poses: int | None = None,
-    run: Path | None = None,
-    lpips: Sequence[Path] = (),
+    path: Path, capture: Path, *, poses: int | None = None, run: Path | None = None, lpips: Sequence[Path] = ()
 ) -> Json:
     """Every number of `selfscan eval` as one JSON-ready dictionary; `lpips` are the files of its weights."""
     start, cpu_start = time.perf_counter(), time.process_time()
@@ -124,15 +117,10 @@ def evaluate(
             result = measured(what)
             if drawer.avatar is not None:
                 result |= of_avatar(what, facts, run, result["baked_vs_field"])
-            if ceiling:
-                result["beside"]["ceiling"] = measured_ceiling(what, capture, facts)
         finally:
             drawer.release()
-    source = {
-        "name": path.name,
-        "kind": "avatar" if drawer.avatar is not None else "run",
-        "provenance": drawer.provenance,
-    }
+    kind_of_source = "avatar" if drawer.avatar is not None else "run"
+    source = {"name": path.name, "kind": kind_of_source, "provenance": drawer.provenance}
     return {
         "format": "selfscan-quality",
         "input": kind,
@@ -345,17 +333,6 @@ def in_filmed_skeletons(videos: FilmedPoses, joints: np.ndarray, true_joints: np
         hands = [measure(posed[part], which[first:]) for part, which in HANDS.items()]
         out[name] = {"total": round(measure(posed["body"], of_body), 3), "hands": round(float(np.mean(hands)), 3)}
     return out
-
-
-def measured_ceiling(what: Evaluated, capture: Path, facts: Json) -> Json:
-    """Novel poses of the true mesh under our weights: pictures and distances."""
-    truth, views = what.truth, what.filmed["novel_pose"]
-    print_stage(f"the ceiling: {len(views)} pictures and their poses")
-    best = CeilingDrawer(what.drawer.raster, capture, facts, truth)
-    images = score_images(what.judge._replace(draw=best.draw), views, "ceiling pictures", t_pose_apart=True)
-    surfaces = JudgedSurfaces(geometry_case(truth, best.surface, truth.visible))
-    placements = same_poses([view for view in views if not is_t_pose(view)])
-    return regions_of(measure_poses(surfaces, placements, "ceiling surfaces")["ours"], images.scored)
 
 
 def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[HeldOutView]) -> dict[str, int] | None:

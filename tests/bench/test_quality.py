@@ -11,13 +11,13 @@ from scipy.ndimage import distance_transform_cdt
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
 from avatar.gltf.avatar_file import read_avatar
 from bench.eval_command import eval_main
-from bench.score.ceiling import ceiling_surface
 from bench.score.picture_scores import box_pixels, is_t_pose, region_of
 from bench.score.quality import evaluate, not_chosen_on, view_modes
 from bench.score.quality_table import view_mode_lines
 from bench.score.true_mesh import read_true_mesh
 from capture.held_out import read_held_out
 from command.errors import AssetError
+from experiments.ceiling import ceiling_surface
 from experiments.quality_page import people_table
 
 KEYS = {"p2s_cm", "back_cm", "back_95_cm", "chamfer_cm", "f_5mm", "f_1cm", "psnr_db", "ssim", "flip", "lpips"}

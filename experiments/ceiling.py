@@ -1,8 +1,12 @@
 """The ceiling of an evaluation: the subject's own mesh and textures, posed by the skin weights that learning uses.
 
-What it loses against the truth no learner can win back: a T-pose video does not show the rig's weights.
+    python -m experiments.ceiling CAPTURE [--poses N] [--json FILE]
+
+What it loses against the truth no learner can win back: a T-pose video does not show the rig's weights. Under
+"ceiling" in the "beside" of a file of `selfscan eval --json`, experiments/quality_page.py shows it.
 """
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +14,23 @@ from jaxtyping import Bool, Float
 
 from avatar.camera import Camera
 from avatar.skeleton import BIG_POSE
+from bake.truth import some_poses
 from bench.field.posed_field import MaskedPicture, PosableSurface
-from bench.report.writer import Json
-from bench.score.true_mesh import TrueMesh
+from bench.report.writer import Json, markdown_table
+from bench.score.metrics import METRICS
+from bench.score.picture_scores import PictureJudge, is_t_pose, score_images
+from bench.score.pose_distances import JudgedSurfaces, measure_poses, same_poses
+from bench.score.posed_geometry import geometry_case
+from bench.score.quality_table import cells
+from bench.score.region_scores import regions_of
+from bench.score.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import read_subject
+from capture.held_out import read_held_out, read_truth_facts
 from files.npz import read_npz
 from files.picture import read_picture
+from files.whole import write_json
 from player.draw.raster import Rasteriser
+from player.gl.context import opened
 from synth.light import light_of
 from synth.photo import Studio
 from synth.subject import SynthSubject
@@ -78,3 +92,37 @@ def true_subject(capture: Path, truth: TrueMesh) -> SynthSubject:
         licence="",
         eye=truth.eye,
     )
+
+
+def measured_ceiling(capture: Path, poses: int | None) -> Json:
+    """Novel poses of the true mesh under our weights, by region: pictures and distances."""
+    facts, truth = read_truth_facts(capture), read_true_mesh(capture)
+    views = some_poses(read_held_out(capture, "novel_pose"), poses)
+    with opened("auto", None) as context:
+        raster = Rasteriser(context)
+        best = CeilingDrawer(raster, capture, facts, truth)
+        judge = PictureJudge(truth, best.draw, None, raster)
+        images = score_images(judge, views, "ceiling pictures", t_pose_apart=True)
+        raster.release()
+    surfaces = JudgedSurfaces(geometry_case(truth, best.surface, truth.visible))
+    placements = same_poses([view for view in views if not is_t_pose(view)])
+    return regions_of(measure_poses(surfaces, placements, "ceiling surfaces")["ours"], images.scored)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Print the table of a capture's ceiling."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.ceiling", description="The best to be had.")
+    parser.add_argument("capture", metavar="CAPTURE", type=Path)
+    parser.add_argument("--poses", type=int, metavar="N", help="novel poses (default: all)")
+    parser.add_argument("--json", metavar="FILE", type=Path)
+    options = parser.parse_args(argv)
+    found = measured_ceiling(options.capture, options.poses)
+    rows = [[region, *cells(scores)] for region, scores in found.items()]
+    print("\n".join(markdown_table(["region", *(metric.title for metric in METRICS)], rows)))
+    if options.json:
+        write_json(options.json, found)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
