@@ -7,7 +7,7 @@ from typing import Annotated
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.settings import AtLeast
-from files.whole import check_file, write_json, write_text
+from files.whole import check_file, write_json
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,6 @@ class EvalCommand:
     capture: Annotated[Path, Option(positional=True, metavar="CAPTURE"),
         "capture folder with truth/ (selfscan synth), or of a raw scan (synth --raw --keypoints --held-out)"]
     json: Annotated[Path | None, Option(metavar="FILE"), "write every number here as well"] = None
-    markdown: Annotated[Path | None, Option(metavar="FILE"), "write the table here as Markdown"] = None
     poses: Annotated[int | None, AtLeast(1), "a quick look: only N poses of each set"] = None
     lpips: Annotated[tuple[Path, ...], Option(metavar="FILE", several=True),
         "LPIPS's weights, which are not shipped: one file of the whole network's state dictionary, or torchvision's "
@@ -43,15 +42,13 @@ def eval_main(argv: list[str]) -> int:
     command = parse(EvalCommand, argv, EVAL)
     if not command.subject.exists():
         raise AssetError(f"{command.subject}: expected a run folder or an avatar file, found nothing")
-    for output in filter(None, (command.json, command.markdown)):
-        check_file(output)
+    if command.json:
+        check_file(command.json)
     from bench.score.quality import evaluate
-    from bench.score.quality_table import markdown, print_table
+    from bench.score.quality_table import print_table
 
     result = evaluate(command.subject, command.capture, poses=command.poses, run=command.run, lpips=command.lpips)
     print_table(result)
     if command.json:
         write_json(command.json, result)
-    if command.markdown:
-        write_text(command.markdown, markdown(result))
     return 0

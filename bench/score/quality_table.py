@@ -1,8 +1,8 @@
-"""The table of one evaluation, printed or as Markdown, with the paper's numbers beside it."""
+"""The table of one evaluation as it is printed, with the paper's numbers beside it."""
 
 from collections.abc import Sequence
 
-from bench.report.writer import Json, markdown_table, number
+from bench.report.writer import Json, number
 from bench.score.metrics import METRICS, Metric, text_of
 from capture.held_out import SETS
 
@@ -26,7 +26,7 @@ INSIDE = (
 
 
 def table_rows(result: Json) -> list[list[str]]:
-    """Rows of the printed and the Markdown table: ours and, beside it, the paper's."""
+    """Rows of the table: ours and, beside it, the paper's."""
     rows = []
     for name in SETS:
         for region in ("head", "eyes", "left_hand", "right_hand", "hands", "total"):
@@ -65,23 +65,6 @@ def table_rows(result: Json) -> list[list[str]]:
 
 def cells(scores: Json, metrics: Sequence[Metric] = METRICS) -> list[str]:
     return [text_of(scores, metric) for metric in metrics]
-
-
-def markdown(result: Json) -> str:
-    """The table as Markdown, with what it was measured on."""
-    facts = ", ".join(f"{k} {v}" for k, v in result["capture"].items() if k != "registration")
-    source, given = result["source"], result.get("input", "given")
-    lines = [f"{source['kind']} `{source['name']}`; {facts}; input: {given}", ""]
-    lines += markdown_table(["", *(metric.title for metric in METRICS)], table_rows(result))
-    baked = result["baked_vs_field"]
-    if baked.get("paper_db") is not None:
-        lines += ["", f"Baked against field: paper mode {baked['paper_db']} dB, network {baked['network_db']} dB."]
-    if "on_held_out" in baked:
-        held = baked["on_held_out"]
-        lines += ["", f"On held-out poses: {held['paper_db']} dB, worst {held['worst_db']} ({held['worst']})."]
-    lines += ["", *DECIBELS]
-    lines += [line for part in (view_mode_lines(result), lost_lines(result)) if part for line in ("", *part)]
-    return "\n".join(lines) + "\n"
 
 
 def view_mode_lines(result: Json) -> list[str]:
