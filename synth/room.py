@@ -15,14 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, look_at, project
 from avatar.rotation import fibonacci_sphere, nearest_rotation
 from avatar.texture import linear_from_srgb, srgb_from_linear
 from geometry.mesh import neighbour_matrix, vertex_normals
 from player.draw.raster import Rasteriser
-
-Array = np.ndarray
 
 # pixels of a depth image, and how far off it is taken: rays over a person differ by 2 degrees
 SHADOW_SIZE = 512

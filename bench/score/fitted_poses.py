@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.limits import limits
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
@@ -36,8 +37,6 @@ from capture.held_out import HeldOutView
 from capture.read.template import TemplateMesh
 from command.progress import progress
 from player.draw.raster import Rasteriser
-
-Array = np.ndarray
 
 # degrees: how far each joint of the fingers is bent that a hand's fit begins from
 CLOSED = (10.0, 40.0, 70.0)

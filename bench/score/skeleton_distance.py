@@ -5,12 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, nearest_rotation
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND, joint_transforms
 from capture.held_out import HeldOutView
-
-Array = np.ndarray
 
 SIDES = ("left", "right")
 LIMBS = [JOINTS.index(f"{side}_{name}") for side in SIDES

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.camera import Camera
@@ -34,8 +35,6 @@ from capture.fit.pixels import compare_pixels
 from capture.held_out import HeldOutView
 from geometry.least_squares import NormalEquations
 from player.draw.raster import Rasteriser
-
-Array = np.ndarray
 
 # pixels of a picture 512 high: blur of each step
 BLURS = (4.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0, 1.0)

@@ -15,12 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt32
+from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from player.draw.posing import PosedBones
-
-Array = np.ndarray
 
 WITHIN = 20.0  # percent of the distances from surface to bone: thin enough to stay inside the body
 CROWN = 0.12  # metres of a head above its joint

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import moderngl
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, clip_from_view, view_from_world
 from player.draw.drawing import Drawing, Layer, Warming
@@ -18,7 +19,6 @@ from player.draw.plan import Decision, Draft, Pass, PassState
 from player.draw.resources import AnyHandle, Handle, PlanResources
 from player.gl.shader import Uniforms, set_uniforms
 
-Array = np.ndarray
 NEAR, FAR = 0.01, 1e5  # metres; nothing on the plane is tested for depth, so they need not be tight
 AHEAD = 0.01  # metres before the lens from which on a corner is projected
 AWAY = Decision(PassState.SKIPPED, "the ground is out of view, or seen from below")

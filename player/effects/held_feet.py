@@ -20,6 +20,7 @@ from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.motion.clip import Clip
 from avatar.skeleton import JOINTS, joint_transforms
@@ -27,8 +28,6 @@ from command.settings import Above, AtLeast, AtMost, settings
 from player.draw.drawing import Pose
 from player.draw.plan import Absent, Draft, Pass, PassState, Stage
 from player.pose.ik import LIMBS, reach_for
-
-Array = np.ndarray
 
 LEGS = ("left_foot", "right_foot")
 TOES = [JOINTS.index(leg) for leg in LEGS]

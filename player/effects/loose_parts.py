@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.skeleton import joint_transforms
@@ -19,8 +20,6 @@ from player.draw.drawing import Pose
 from player.draw.posing import Poser
 from player.effects.contact_capsules import BONES, capsule_distances, capsules_of
 from player.effects.held_feet import GROWN, LEGS, leg_bones
-
-Array = np.ndarray
 
 # joint that moves each capsule
 BONE = np.array([joint for joint, _ in BONES])

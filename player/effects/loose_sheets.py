@@ -9,12 +9,11 @@ looks as filmed.
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from player.effects.contact_capsules import squared_distances
 from player.effects.loose_parts import DrivenPose, LooseParts, lengths_of, ways
 from player.effects.secondary_motion import SecondaryMotion
-
-Array = np.ndarray
 
 STEP = 1 / 120  # seconds
 REACH = 0.3  # metres off the pose, of a grown person

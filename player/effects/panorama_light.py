@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.light import CaptureLight, lamps_of
 from avatar.rotation import fibonacci_sphere
-
-Array = np.ndarray
 
 ROWS, NORMALS = 32, 256  # rows of the panorama that are added up, and normals that are asked
 # a lamp that leaves more than this share of what was left before is none

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.camera import Camera
 from avatar.skeleton import JOINTS
@@ -21,7 +22,6 @@ from player.draw.posing import PosedBones, Poser
 from player.effects.lens import DepthOfField
 from player.scene.effects import Effects
 
-Array = np.ndarray
 View = tuple[list[Pose], Camera]
 SEEN = 0.5  # pixels
 NEAREST = 0.05  # metres before the lens: nothing nearer is focused on

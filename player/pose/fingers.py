@@ -10,12 +10,12 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.limits import axis_angle_from_joint_angles, clamped_angles, joint_angles
 from avatar.motion.fingers import FINGERS, JOINT_SHARE
 from avatar.skeleton import LEFT_HAND, RIGHT_HAND
 
-Array = np.ndarray
 Side = Literal["left", "right"]
 
 HANDS: dict[str, slice] = {"left": LEFT_HAND, "right": RIGHT_HAND}

@@ -17,11 +17,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.rotation import axis_angle_from_matrix, rotation_between
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
-
-Array = np.ndarray
 
 # a rest pose bends its knees and elbows up to 8 degrees, any way
 STRAIGHT, BENT = np.radians([8.0, 20.0])

@@ -6,11 +6,10 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar import rotation
 from avatar.motion.clip import Clip
-
-Array = np.ndarray
 
 Easing = Literal["linear", "smooth"]
 

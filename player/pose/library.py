@@ -9,8 +9,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.limits import posed
 from command.errors import AssetError
@@ -18,7 +18,6 @@ from player.pose.fingers import PRESETS, with_hand
 from player.pose.keyframes import Pose
 from player.pose.pose_file import read_pose, write_pose
 
-Array = np.ndarray
 Angles = dict[str, dict[str, float | int]]
 
 LONGEST_NAME = 80

@@ -4,13 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.motion.fingers import MIRROR
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS
 from player.pose.fingers import HANDS, Side
-
-Array = np.ndarray
 
 LEG = ("hip", "knee", "ankle", "foot")
 

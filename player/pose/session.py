@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.limits import clamped, with_angle
 from avatar.motion.clip import Clip
@@ -23,8 +24,6 @@ from player.pose.history import History, PoseState
 from player.pose.ik import LIMBS, reach_for
 from player.pose.keyframes import Easing, Keys, Pose, clip_of, pose_at, with_key
 from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
-
-Array = np.ndarray
 
 
 class Pin(NamedTuple):

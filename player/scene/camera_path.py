@@ -17,6 +17,7 @@ from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 
 from avatar.camera import LARGEST, Camera, camera_from_json, look_at
 from command.errors import AssetError
@@ -24,8 +25,6 @@ from command.settings import AtLeast, AtMost, Refused, SettingsSource, record_of
 from files import input_file
 from files.whole import write_json
 from player.scene.framing import FOV
-
-Array = np.ndarray
 
 # eye (3), target (3), up (3), log of the two focal lengths, skew, principal point from the middle;
 # the last five in image heights, so that any image size shows the same vertical field of view

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, direction, look_at, orbit_camera
@@ -12,8 +13,6 @@ from avatar.hull import hull_of, outermost, posed_hull
 from avatar.motion.clip import Clip
 from avatar.skeleton import joint_transforms
 from player.draw.posing import posed_vertices
-
-Array = np.ndarray
 
 FOV = np.radians(35.0)  # vertical
 # a little from above, as one stands before a person

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.camera import Camera, pixel_rays
 from avatar.texture import sample_texture
-
-Array = np.ndarray
 
 # metres from the origin: the wall behind, the walls beside, the wall behind the camera, and the height
 BACK, SIDE, FRONT, HEIGHT = 1.6, 2.4, 4.5, 2.6

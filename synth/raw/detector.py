@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, project
 from avatar.skeleton import JOINTS, PARTS, joint_transforms
@@ -18,8 +19,6 @@ from capture.keypoints.record import FACE, SIDES, hand_points
 from capture.read.places import landmark_vertices
 from player.draw.raster import Rasteriser
 from synth.subject import SynthSubject
-
-Array = np.ndarray
 
 # share of points that lie far off, and pixels (of 1080) by which
 OUTLIERS, FAR = 0.03, 40.0

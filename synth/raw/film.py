@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
 from PIL import Image
 
 from avatar.camera import Camera, project
@@ -20,8 +21,6 @@ from synth.raw.detector import Detector, Mistakes
 from synth.raw.movement import RawShots, plan_raw_videos
 from synth.raw.phone import phone_of
 from synth.room import Room, VertexLight
-
-Array = np.ndarray
 
 # what the files are called
 FILES = {"body": "body.mp4", "head": "head.mp4", "hand_left": "left.mp4", "hand_right": "right.mp4"}

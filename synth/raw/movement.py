@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 
 from avatar.camera import Camera, look_at
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
@@ -15,8 +16,6 @@ from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND, joint_transfor
 from synth.film import frame_points, hand_before_camera, hand_poses, head_nod, head_points, relaxed_fingers, rotation
 from synth.photo import Studio
 from synth.subject import SynthSubject
-
-Array = np.ndarray
 
 # seconds without the person, and of stepping in
 EMPTY, ENTERING = 1.0, 1.4

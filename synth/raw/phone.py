@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
 
 from synth.raw.movement import EMPTY, ENTERING, Wander
-
-Array = np.ndarray
 
 # deviation of brightness and of red and blue over time, and how much darker it is once a person stands there
 ROLL, TINT, DARKER = 0.012, 0.004, 0.03
