@@ -1,11 +1,11 @@
 """What reports are written with: tables in Markdown, and numbers in them."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+
+from files.input_file import JsonObject
 
 # an object that json.dump takes
-Json = dict[str, Any]
-
+Json = JsonObject
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """The lines of a table; each row has as many cells as the head."""

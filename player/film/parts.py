@@ -12,10 +12,9 @@ import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from command.errors import AssetError
-from files.input_file import read_json_object
+from files.input_file import JsonObject, read_json_object
 from files.whole import check_folder, write_json
 from player.film.film import VIDEO, film_kind
 
@@ -36,7 +35,7 @@ class Parts:
     out: Path
     start: int  # first frame
     stop: int  # one past the last
-    identity: dict[str, Any]
+    identity: JsonObject
 
     @property
     def folder(self) -> Path:
@@ -98,7 +97,7 @@ class Parts:
         with contextlib.suppress(OSError):
             self.folder.rmdir()
 
-    def _film(self) -> dict[str, Any]:
+    def _film(self) -> JsonObject:
         return json.loads(json.dumps({**self.identity, "frames": [self.start, self.stop], "part": LENGTH}))
 
 

@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -16,6 +15,7 @@ from avatar.camera import Camera
 from command.errors import AssetError
 from command.interrupt import deferred_stop
 from command.settings import with_files
+from files.input_file import JsonObject
 from player.budget.rung import Rung
 from player.draw.drawing import Pose
 from player.film.exposure import exposures
@@ -59,7 +59,7 @@ class Shot:
         with_files(replace(self.scene, cameras=self.scene.cameras[:1]), lambda name: names.append(name) or name)
         return sorted({name for name in names if Path(name).exists()})
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> JsonObject:
         """This film's identity; parts of two films with one identity may be joined."""
         import av
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from command.errors import AssetError
+from files.input_file import JsonObject
 from player.draw.detail import BySize, DetailBySize
 from player.draw.drawing import Drawing, FrameInputs, Look, Pose, Warming
 from player.draw.plan import Canvas, Decision, Kept, Pass, Plan, close_all
@@ -202,7 +203,7 @@ class Renderer:
             raise ValueError(f"made for {self.size} pixels, drawn into {camera.size}: call resize")
         self._frame(FrameInputs(framebuffer, tuple(poses), camera, framebuffer is self.target, seconds))
 
-    def explain(self, repeats: int = 5) -> list[dict[str, Any]]:
+    def explain(self, repeats: int = 5) -> list[JsonObject]:
         """Every pass: whether it ran in the last frame, why, what it costs in ms (median), its bytes.
 
         A pass that did not run costs nothing and says 0. Times of avatars include their share of posing; all end

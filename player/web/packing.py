@@ -16,7 +16,6 @@ bytes, each the difference to Paeth's guess from its neighbours (as in PNG).
 import io
 import zlib
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -26,6 +25,7 @@ from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Clip
 from avatar.rotation import quaternion_from_axis_angle
 from avatar.skeleton import PARENTS, joint_transforms, rigid_inverse
+from files.input_file import JsonObject
 from player.draw.mesh import draw_order, interleaved
 from player.draw.posing import Poser
 
@@ -39,7 +39,7 @@ MOTION_BYTES = FINE * (4 * 52 + 3)
 class Packed:
     """A part of a page: what unpack.js must know of it, and its bytes by name."""
 
-    facts: dict[str, Any]
+    facts: JsonObject
     blobs: dict[str, bytes]
 
     @property
@@ -70,7 +70,7 @@ def packed_level(avatar: Avatar, number: int) -> Packed:
     order, faces = draw_order(level.positions, level.faces)
     skin = interleaved(level)[order]
     named = f"level{number}"
-    arrays: list[tuple[str, dict[str, Any], bytes]] = [
+    arrays: list[tuple[str, JsonObject, bytes]] = [
         _range("position", level.positions[order], FINE),
         _range("uv", level.uv[order], FINE),
         _range("view_mean", level.view_dir[order], COARSE),
@@ -82,7 +82,7 @@ def packed_level(avatar: Avatar, number: int) -> Packed:
     ]
     blobs = {f"{named}.mesh": zlib.compress(b"".join(data for _, _, data in arrays), 9)}
     blobs[f"{named}.color"] = lossless_webp(level.base_color)
-    facts: dict[str, Any] = {
+    facts: JsonObject = {
         "vertices": len(order),
         "triangles": len(faces),
         "arrays": [{"name": name, **how} for name, how, _ in arrays],
@@ -126,7 +126,7 @@ def paeth(image: UInt8[np.ndarray, "height width planes"]) -> bytes:
     return (planes[:, 1:, 1:] - found).astype(np.uint8).tobytes()
 
 
-def _range(name: str, values: Float[np.ndarray, "n components"], width: int) -> tuple[str, dict[str, Any], bytes]:
+def _range(name: str, values: Float[np.ndarray, "n components"], width: int) -> tuple[str, JsonObject, bytes]:
     """Steps of so many bytes over the range that the values take, a range for each component."""
     low, high = values.min(0).astype(np.float64), values.max(0).astype(np.float64)
     scale = (high - low) / (256**width - 1)
@@ -135,14 +135,14 @@ def _range(name: str, values: Float[np.ndarray, "n components"], width: int) -> 
     return name, how | {"offset": low.tolist(), "scale": scale.tolist()}, _differences(steps, width)
 
 
-def _halves(name: str, values: Float[np.ndarray, "n components"]) -> tuple[str, dict[str, Any], bytes]:
+def _halves(name: str, values: Float[np.ndarray, "n components"]) -> tuple[str, JsonObject, bytes]:
     """Half floats: for values whose sizes differ by more than a range of 16 bits resolves. What is larger than
     they hold is a cone too narrow to leave."""
     bits = np.clip(values, -65504, 65504).astype(np.float16).view(np.uint16).astype(np.int64)
     return name, {"kind": "half", "bytes": COARSE, "components": values.shape[1]}, _differences(bits, COARSE)
 
 
-def _bytes(name: str, values: UInt8[np.ndarray, "n components"]) -> tuple[str, dict[str, Any], bytes]:
+def _bytes(name: str, values: UInt8[np.ndarray, "n components"]) -> tuple[str, JsonObject, bytes]:
     return name, {"kind": "bytes", "components": values.shape[1]}, np.ascontiguousarray(values.T).tobytes()
 
 

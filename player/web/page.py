@@ -6,12 +6,12 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Clip
+from files.input_file import Json, JsonObject
 from player.scene.framing import ELEVATION, FOV, extent, facing, fitted
 from player.web.essl import programs
 from player.web.packing import Packed, packed_avatar, packed_motion
@@ -35,7 +35,7 @@ def blob_elements(blobs: Mapping[str, bytes]) -> str:
     )
 
 
-def json_element(content: Any) -> str:
+def json_element(content: Json) -> str:
     """JSON that may stand inside a script element: no text in it ends the element."""
     return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
@@ -45,7 +45,7 @@ def filled(template: str, parts: Mapping[str, str]) -> str:
     return re.sub(f"@({'|'.join(parts)})@", lambda found: parts[found[1]], template)
 
 
-def page_of(package: str, scripts: Sequence[str], title: str, blobs: Mapping[str, bytes], facts: Any) -> str:
+def page_of(package: str, scripts: Sequence[str], title: str, blobs: Mapping[str, bytes], facts: JsonObject) -> str:
     """A page that draws avatars: body.html, page.css and scripts of a package, and the bytes and facts they read."""
     drawing, own = ["frame.html", *DRAWING], ["body.html", "page.css", *scripts]
     frame, *shared = ((files("player.web") / name).read_text("utf-8") for name in drawing)
@@ -57,7 +57,7 @@ def page_of(package: str, scripts: Sequence[str], title: str, blobs: Mapping[str
     return filled(frame.replace("@BODY@", body), parts)
 
 
-def first_camera(avatar: Avatar, clip: Clip) -> dict[str, Any]:
+def first_camera(avatar: Avatar, clip: Clip) -> JsonObject:
     """The camera of `selfscan render --camera front` on a square picture, and how far away one twice as high is."""
     azimuth, points = facing(clip.axis_angle[0], avatar.joint_positions.astype(np.float64)), extent(avatar, clip)
     view, narrow = fitted(points, azimuth, (640, 640)), fitted(points, azimuth, (320, 640))

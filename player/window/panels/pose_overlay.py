@@ -6,7 +6,7 @@ from imgui_bundle import imgui
 from imgui_bundle.imguizmo import im_guizmo
 from jaxtyping import Float
 
-from avatar.camera import Camera, clip_from_view, project, view_from_world
+from avatar.camera import clip_from_view, project, view_from_world
 from avatar.skeleton import PARENTS
 from player.window.pose_tool import HANDLES, PoseTool, PullHandle
 from player.window.posing import PoseEdit
@@ -25,44 +25,33 @@ FEWEST = 40.0
 RADIUS, FINGER_RADIUS = 75.0, 41.0
 
 
-class OverlayCanvas:
-    """Draws over the picture with imgui; projects world points to window units."""
-
-    def __init__(self, camera: Camera, units: tuple[float, float]):
-        self.camera, self.units = camera, units
-        self.draw = imgui.get_background_draw_list()
-
-    def points(self, world: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-        pixels, depth = project(self.camera, world)
-        return pixels / self.units, depth
-
-
 def pose_overlay(tool: PoseTool, state: WindowState) -> None:
     """All of it, for the avatar that is being posed."""
     if state.last.camera is None:
         return
-    paper = OverlayCanvas(state.last.camera, state.layout.screen.pixel(1.0, 1.0))
-    places, depth = paper.points(tool.session.world()[:, :3, 3])
-    ahead = depth > 1e-3
+    draw = imgui.get_background_draw_list()
+    pixels, depth = project(state.last.camera, tool.session.world()[:, :3, 3])
+    # window units
+    places, ahead = pixels / state.layout.screen.pixel(1.0, 1.0), depth > 1e-3
     # the larger of the two hands on the screen, wrist to last joint of the middle finger
     hand = np.linalg.norm(places[[20, 21]] - places[[27, 42]], axis=1).max()
     fingers = np.ptp(places[20:52], axis=0).max() > 0 and hand > FEWEST
     for joint in range(1, 52 if fingers else 22):
         if ahead[joint] and ahead[PARENTS[joint]]:
-            paper.draw.add_polyline(_vectors(places[[PARENTS[joint], joint]]), BONE, 1.0, 0)
+            draw.add_polyline(_vectors(places[[PARENTS[joint], joint]]), BONE, 1.0, 0)
     for joint in range(22):
         if ahead[joint]:
-            paper.draw.add_circle_filled(imgui.ImVec2(*map(float, places[joint])), 2.5, DOT)
+            draw.add_circle_filled(imgui.ImVec2(*map(float, places[joint])), 2.5, DOT)
     for handle in HANDLES:
         if ahead[handle.joint]:
-            _handle(paper, tool, handle, places[handle.joint])
+            _handle(draw, tool, handle, places[handle.joint])
 
 
-def _handle(paper: OverlayCanvas, tool: PoseTool, handle: PullHandle, place: Float[np.ndarray, "2"]) -> None:
+def _handle(draw: imgui.ImDrawList, tool: PoseTool, handle: PullHandle, place: Float[np.ndarray, "2"]) -> None:
     """A square at hands and feet (blue when pinned), a diamond for the body, a small ring at elbows and knees."""
     held = tool.held is not None and tool.held.handle is handle
     lit = held or tool.hovered is handle
-    center, draw = imgui.ImVec2(*map(float, place)), paper.draw
+    center = imgui.ImVec2(*map(float, place))
     if handle.kind == "middle":
         draw.add_circle(center, 6.0 if lit else 4.5, HELD if lit else HANDLE, 0, 2.0)
         return
