@@ -15,10 +15,10 @@ BUDGET = {
     "capture": 11_880,
     "train": 5_786,
     "bake": 4_383,
-    "player": 18_909,
+    "player": 18_810,
     "shaders": 1_036,
-    "synth": 2_813,
-    "bench": 5_995,
+    "synth": 2_780,
+    "bench": 5_850,
     "selfscan": 393,
     "tests": 35_950,
 }
