@@ -47,10 +47,7 @@ def _owners() -> np.ndarray:
     own |= {0: own[JOINTS.index("spine1")], JOINTS.index("spine2"): own[JOINTS.index("spine3")]}
     out = np.zeros(52, int)
     for joint in range(52):
-        at = joint
-        while at not in own:
-            at = int(PARENTS[at])
-        out[joint] = own[at]
+        out[joint] = own[joint] if joint in own else out[PARENTS[joint]]
     return out
 
 

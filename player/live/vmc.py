@@ -10,6 +10,7 @@ root pose times Hips pose. A sender's bones are taken as normalised (identity in
 `calibration` says otherwise.
 """
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -31,15 +32,10 @@ _BODY = (
     "LeftToes RightToes Neck LeftShoulder RightShoulder Head LeftUpperArm RightUpperArm LeftLowerArm RightLowerArm "
     "LeftHand RightHand"
 ).split()
-BONES: tuple[str, ...] = tuple(
-    _BODY
-    + [
-        f"{side}{finger}{part}"
-        for side in ("Left", "Right")
-        for finger in ("Index", "Middle", "Little", "Ring", "Thumb")
-        for part in ("Proximal", "Intermediate", "Distal")
-    ]
-)  # UnityEngine.HumanBodyBones in the order of our joints
+_PARTS = ("Proximal", "Intermediate", "Distal")
+_FINGERS = [finger + part for finger in ("Index", "Middle", "Little", "Ring", "Thumb") for part in _PARTS]
+# UnityEngine.HumanBodyBones in the order of our joints
+BONES = (*_BODY, *(side + finger for side in ("Left", "Right") for finger in _FINGERS))
 _JOINT = {name.lower(): joint for joint, name in enumerate(BONES)}
 _LEGS = [(1, 4, 7), (2, 5, 8)]
 
@@ -96,7 +92,7 @@ class VmcDecoder:
         self.clock: float | None = None  # the sender's, newest
         self.frame_clock: float | None = None
         self.clock_is_new = False
-        self.recent: dict[int, None] = {}
+        self.recent: deque[int] = deque(maxlen=REMEMBERED)
         self.tracking = True
 
     def decode(self, data: bytes, counters: Counters) -> DecodedDatagram | None:
@@ -161,9 +157,7 @@ class VmcDecoder:
         if self.clock is not None and self.clock - RESTART <= clock < self.clock:
             counters.late += 1
             return True
-        self.recent[key] = None
-        if len(self.recent) > REMEMBERED:
-            del self.recent[next(iter(self.recent))]
+        self.recent.append(key)
         return False
 
 

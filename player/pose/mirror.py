@@ -14,18 +14,14 @@ from player.pose.fingers import HANDS, Side
 LEG = ("hip", "knee", "ankle", "foot")
 
 
-def _partners() -> np.ndarray:
+def _partner(name: str) -> int:
+    side, _, part = name.partition("_")
     other = {"left": "right", "right": "left"}
-    named = {name: k for k, name in enumerate(JOINTS)}
-    swapped = []
-    for name in JOINTS:
-        side, _, part = name.partition("_")
-        swapped.append(named[f"{other[side]}_{part}" if side in other else name])
-    return np.array(swapped)
+    return JOINTS.index(f"{other[side]}_{part}" if side in other else name)
 
 
 # the joint on the other side; itself in the middle
-PARTNER = _partners()
+PARTNER = np.array([_partner(name) for name in JOINTS])
 PARTNER.setflags(write=False)
 
 

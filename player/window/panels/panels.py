@@ -31,28 +31,19 @@ FIXED = (
     imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_collapse
     | imgui.WindowFlags_.no_bring_to_front_on_focus | imgui.WindowFlags_.no_saved_settings
 )  # fmt: skip
-SPECIAL = {
+KEYS = {
     glfw.KEY_TAB: imgui.Key.tab, glfw.KEY_BACKSPACE: imgui.Key.backspace, glfw.KEY_ENTER: imgui.Key.enter,
     glfw.KEY_KP_ENTER: imgui.Key.keypad_enter, glfw.KEY_ESCAPE: imgui.Key.escape, glfw.KEY_DELETE: imgui.Key.delete,
     glfw.KEY_LEFT: imgui.Key.left_arrow, glfw.KEY_RIGHT: imgui.Key.right_arrow, glfw.KEY_UP: imgui.Key.up_arrow,
     glfw.KEY_DOWN: imgui.Key.down_arrow, glfw.KEY_HOME: imgui.Key.home, glfw.KEY_END: imgui.Key.end,
-    glfw.KEY_LEFT_CONTROL: imgui.Key.left_ctrl, glfw.KEY_RIGHT_CONTROL: imgui.Key.right_ctrl,
-    glfw.KEY_LEFT_SHIFT: imgui.Key.left_shift, glfw.KEY_RIGHT_SHIFT: imgui.Key.right_shift,
-    glfw.KEY_LEFT_ALT: imgui.Key.left_alt, glfw.KEY_RIGHT_ALT: imgui.Key.right_alt,
-    glfw.KEY_LEFT_SUPER: imgui.Key.left_super, glfw.KEY_RIGHT_SUPER: imgui.Key.right_super,
     glfw.KEY_SPACE: imgui.Key.space,
 }  # fmt: skip
-MODIFIERS = {
-    imgui.Key.left_ctrl: imgui.Key.mod_ctrl, imgui.Key.right_ctrl: imgui.Key.mod_ctrl,
-    imgui.Key.left_shift: imgui.Key.mod_shift, imgui.Key.right_shift: imgui.Key.mod_shift,
-    imgui.Key.left_alt: imgui.Key.mod_alt, imgui.Key.right_alt: imgui.Key.mod_alt,
-    imgui.Key.left_super: imgui.Key.mod_super, imgui.Key.right_super: imgui.Key.mod_super,
-}  # fmt: skip
 # text fields have shortcuts with these letters
-LETTERS = {
-    ord("A"): imgui.Key.a, ord("C"): imgui.Key.c, ord("V"): imgui.Key.v, ord("X"): imgui.Key.x, ord("Y"): imgui.Key.y,
-    ord("Z"): imgui.Key.z,
-}  # fmt: skip
+KEYS |= {ord(letter.upper()): imgui.Key[letter] for letter in "acvxyz"}
+# in the order of glfw's codes, those of the left before those of the right
+HELD = [(side, name) for side in ("left", "right") for name in ("shift", "ctrl", "alt", "super")]
+KEYS |= {glfw.KEY_LEFT_SHIFT + k: imgui.Key["_".join(key)] for k, key in enumerate(HELD)}
+MODIFIERS = {imgui.Key["_".join(key)]: imgui.Key[f"mod_{key[1]}"] for key in HELD}
 
 
 class Panels:
@@ -133,7 +124,7 @@ class Panels:
     def on_key(self, key: int, down: bool) -> bool:
         """A key of glfw's went down or up; whether a text field takes it."""
         io = self._io()
-        found = SPECIAL.get(key) or LETTERS.get(key)
+        found = KEYS.get(key)
         if found == imgui.Key.tab and down and not io.want_text_input:
             # outside a text field Tab selects an avatar; here it would begin to type in the next field
             found = None
