@@ -184,11 +184,9 @@ def test_distance_to_the_truth_is_measured_in_t_pose(tmp_path):
 
 
 def test_a_page_holds_everything_and_escapes_what_is_not_its_own():
-    shown = PagePicture("one", b"\x89PNG", "png", 'says "hi"')
-    section = PageSection("look", [shown], None, [("x",), ("<i>",)], "a < b")
-    text = page(
-        "<b>Eve</b>", ["from a & b"], [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)], [section]
-    )
+    one = PagePicture("one", b"\x89PNG", "png", 'says "hi"')
+    text = page("<b>Eve</b>", ["from a & b"], [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)],
+                [PageSection("look", [one], None, [("x",), ("<i>",)], "a < b")])  # fmt: skip
     assert "&lt;b&gt;Eve&lt;/b&gt;" in text and "<b>Eve" not in text and "a &lt; b" in text and "&lt;i&gt;" in text
     assert 'src="data:image/png;base64,iVBORw==' in text and "says &quot;hi&quot;" in text
     assert re.findall(r'(?:src|href)="(?!data:|#)', text) == [] and "<script" not in text and "url(" not in text
