@@ -14,9 +14,9 @@ NumPy's calls (2.2 ms a frame alone, .15 together). Lengths scale with the legs:
 is held as one in metres.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
-from typing import Annotated, ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -24,9 +24,8 @@ from numpy import ndarray as Array
 
 from avatar.motion.clip import Clip
 from avatar.skeleton import JOINTS, joint_transforms
-from command.settings import Above, AtLeast, AtMost, settings
 from player.draw.drawing import Pose
-from player.draw.plan import Absent, Draft, Pass, PassState, Stage
+from player.effects.foot_lock import FootLock
 from player.pose.ik import LIMBS, reach_for
 
 LEGS = ("left_foot", "right_foot")
@@ -40,23 +39,6 @@ SHORTEST = 0.1  # seconds; a shorter touch is none
 # a leg is not stretched further than this share of its length, unless the motion does
 STRETCHED = 0.998
 MOST_BENT = np.radians(145.0)  # radians of the knee
-
-
-@settings
-class FootLock:
-    """When a toe is held; lengths are those of a grown person's, and scale with the avatar's legs."""
-
-    stage: ClassVar[Stage] = Stage.AVATARS
-
-    speed: Annotated[float, Above(0), AtMost(5),
-        "metres a second: a toe slower than this is held, until it is twice as fast"] = 0.35
-    height: Annotated[float, Above(0), AtMost(1),
-        "metres above where toes stand: a lower one is held, until it is twice as high"] = 0.03
-    farthest: Annotated[float, AtLeast(0), AtMost(1), "metres that a toe is moved at most"] = 0.15
-    release: Annotated[float, Above(0), AtMost(5), "seconds in which it comes to its place and is let go"] = 0.15
-
-    def passes(self, draft: Draft) -> Sequence[Pass]:
-        return (Absent("foot lock", "motions are filtered before they are drawn", state=PassState.KEPT),)
 
 
 class Steps(NamedTuple):

@@ -16,9 +16,9 @@ from player.effects.antialiasing import BestAntialiasing, Fxaa, Msaa
 from player.effects.avatar import VIEWS, Avatars
 from player.effects.background import Background
 from player.effects.contact import Contact
+from player.effects.foot_lock import FootLock
 from player.effects.grid import Grid
 from player.effects.ground import Ground
-from player.effects.held_feet import FootLock
 from player.effects.lens import DepthOfField, MotionBlur
 from player.effects.light import Light
 from player.effects.outline import Outline

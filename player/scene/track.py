@@ -9,7 +9,7 @@ from jaxtyping import Float
 from avatar import rotation
 from avatar.motion.clip import Clip
 from player.draw.drawing import FASTEST, TURNED, Pose
-from player.effects.held_feet import FootLock
+from player.effects.foot_lock import FootLock
 from player.scene.motions import BLOCK
 
 

@@ -8,17 +8,8 @@ import pytest
 
 from avatar.motion.clip import Clip
 from avatar.skeleton import joint_transforms
-from player.effects.held_feet import (
-    MOST_BENT,
-    TOES,
-    TOGETHER,
-    FootLock,
-    HeldFeet,
-    Steps,
-    found_steps,
-    leg_bones,
-    offset,
-)
+from player.effects.foot_lock import FootLock
+from player.effects.held_feet import MOST_BENT, TOES, TOGETHER, HeldFeet, Steps, found_steps, leg_bones, offset
 from player.film.shot import Shot
 from player.film.stage import Stage
 from player.pose.ik import reach_for
