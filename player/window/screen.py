@@ -74,7 +74,7 @@ class Screen:
         glfw.terminate()
 
 
-def density(handle: object) -> float:
+def density(handle: Any) -> float:
     """How many window units a usual screen's pixel is: where units are pixels, what the system scales text by."""
     scale = glfw.get_window_content_scale(handle)[0]
     units, pixels = glfw.get_window_size(handle)[0], glfw.get_framebuffer_size(handle)[0]
@@ -89,7 +89,7 @@ def open_window(size: tuple[int, int], null: bool):
     """
     reasons: list[str] = []
 
-    def note(_code: int, text: bytes) -> None:
+    def note(_code: int, text: Any) -> None:
         reasons.append(text.decode("utf-8", "replace"))
 
     glfw.set_error_callback(note)
@@ -112,7 +112,7 @@ def open_window(size: tuple[int, int], null: bool):
     return window
 
 
-def window_context(window: object, null: bool) -> Context:
+def window_context(window: Any, null: bool) -> Context:
     """Our context around a window's own."""
 
     def address(name: str) -> int:
