@@ -7,6 +7,7 @@ from files.input_file import JsonObject
 # an object that json.dump takes
 Json = JsonObject
 
+
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """The lines of a table; each row has as many cells as the head."""
     lines = [head, ["-"] * len(head), *rows]
