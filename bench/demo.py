@@ -20,8 +20,6 @@ from files.whole import write_text
 
 # strength of the shine that depends on the view
 SHEEN = 0.5
-# steps of each part, a third of the preset's: textures come from the videos, and a newcomer waits
-STEPS = "400"
 SCENE = """# The film of `make demo`. Change it and film again: selfscan render --scene {name} -o avatar.mp4
 size = [640, 640]
 
@@ -67,8 +65,8 @@ def stages(out: Path) -> list[Stage]:
         Stage(
             "train four part fields",
             run / "run.json",
-            command("selfscan", "train", capture, "-o", run, "--preset", "demo", "--iterations", STEPS, *resume),
-            3.0,
+            command("selfscan", "train", capture, "-o", run, "--preset", "demo", *resume),
+            6.0,
         ),
         Stage("bake the avatar", avatar, command("selfscan", "bake", run, "-o", avatar, "--capture", capture), 1.5),
         Stage("film", out / "avatar.mp4", film(avatar, out / "film.toml", out / "avatar.mp4"), 0.5),
