@@ -68,6 +68,28 @@ def compared(
     return out | ({"reasons": reasons} if reasons else {})
 
 
+def person_scores(
+    references: list,
+    crops: list[tuple[slice, slice]],
+    masks: list[Bool[np.ndarray, "height width"]],
+    boxes: list[dict[str, tuple[slice, slice]]],
+    drawn: list,
+) -> Json:
+    """Scores of a rung's pictures over the person, head and hands."""
+    return compared(references, drawn, crops, masks) | {"parts": part_scores(references, drawn, boxes)}
+
+
+def part_scores(references: list, drawn: list, boxes: list[dict[str, tuple[slice, slice]]]) -> Json:
+    """FLIP and PSNR of head and hands, over their rectangles in the pictures that show them."""
+    out = {}
+    for name, kinds in (("head", ("head",)), ("hands", ("hand_left", "hand_right"))):
+        seen = [(a, b, box[kind]) for a, b, box in zip(references, drawn, boxes) for kind in kinds if kind in box]
+        if seen:
+            scores = compared(*map(list, zip(*seen)))
+            out[name] = {key: scores[key] for key in ("psnr_db", "ssim", "flip")}
+    return out
+
+
 def flicker(
     references: list[Float[np.ndarray, "height width 3"]],
     drawn: list[Float[np.ndarray, "height width 3"]],

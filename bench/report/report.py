@@ -4,7 +4,11 @@ Every rung of the player's ladder, and the field it was baked from when the run 
 frames by alternating rounds and compared with the best rung, and with the truth when the capture is given.
 """
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +27,7 @@ from bench.ladder.rung_pictures import (
     motion_frames,
     rung_pictures,
 )
-from bench.ladder.rung_scores import compared, crop_of, flicker, mark_dominated, part_boxes, row_of
+from bench.ladder.rung_scores import crop_of, flicker, mark_dominated, part_boxes, person_scores, row_of
 from bench.report.contact import save_sheet
 from bench.report.frontier.page import PagePictures, frontier_page
 from bench.report.rung_page import markdown, plot, rung_sheet
@@ -67,12 +71,14 @@ def bench(command: BenchCommand) -> Json:
     references: dict[str | None, Pictures] = {None: pictures[best]}
     references |= {} if best == baked else {"against_baked": pictures[baked]}
     references |= {} if capture is None else {"against_truth": truths}
-    for against, reference in references.items():
-        for row in rows:
-            shown = pictures[row["name"]]
-            scores = compared(reference, shown, crops, masks) | {"parts": part_scores(reference, shown, parts)}
-            row |= scores if against is None else {against: scores}
-        mark_dominated(rows, [one.ms for one in measured], against)
+    drawn = [one.pictures for one in measured]
+    # FLIP is most of a report's time
+    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as cores:
+        for against, reference in references.items():
+            scores = cores.map(partial(person_scores, reference, crops, masks, parts), drawn)
+            for row, found in zip(rows, scores, strict=True):
+                row |= found if against is None else {against: found}
+            mark_dominated(rows, [one.ms for one in measured], against)
     result = {
         "format": "selfscan-bench",
         **quiet.facts(context),
@@ -137,14 +143,3 @@ def score_flicker(
     for rung, row in zip(rungs, rows, strict=True):
         drawn = references if rung is rungs[0] else rung_pictures(context, avatar, rung, frames)
         row["flicker"] = flicker(references, drawn, masks)
-
-
-def part_scores(references: list, drawn: list, boxes: list[dict[str, tuple[slice, slice]]]) -> Json:
-    """FLIP and PSNR of head and hands, over their rectangles in the pictures that show them."""
-    out = {}
-    for name, kinds in (("head", ("head",)), ("hands", ("hand_left", "hand_right"))):
-        seen = [(a, b, box[kind]) for a, b, box in zip(references, drawn, boxes) for kind in kinds if kind in box]
-        if seen:
-            scores = compared(*map(list, zip(*seen)))
-            out[name] = {key: scores[key] for key in ("psnr_db", "ssim", "flip")}
-    return out
