@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 11_880,
     "train": 5_786,
     "bake": 4_383,
-    "player": 18_810,
+    "player": 18_793,
     "shaders": 1_036,
-    "synth": 2_780,
-    "bench": 5_850,
+    "synth": 2_779,
+    "bench": 5_860,
     "selfscan": 393,
-    "tests": 35_950,
+    "tests": 35_933,
 }
 
 
