@@ -22,7 +22,6 @@ from files.input_file import read_json_object
 from files.npz import field, read_npz
 from files.picture import read_picture
 from files.whole import whole_file
-from geometry.mesh import TriangleMesh
 
 SUBJECT = ("v_template", "faces", "joints", "skin_joints", "skin_weights", "part", "hair")
 # metres: from an infant to the tallest man measured
@@ -60,7 +59,7 @@ class CaptureSubject:
     behind_cloth: Bool[Array, "vertices"] | None = None
 
     def joined(
-        self, kept: Int[Array, "k 3"], mesh: TriangleMesh, rest: Float[Array, "n 3"], skin: SkinWeights,
+        self, kept: Int[Array, "k 3"], mesh: tuple[Array, Array], rest: Float[Array, "n 3"], skin: SkinWeights,
         part: Int[Array, "n"], *, hair: bool,
     ) -> "CaptureSubject":  # fmt: skip
         """The subject with the `kept` of its own faces and a mesh, canonical, behind them; `rest` is it in pose 0."""
@@ -68,8 +67,8 @@ class CaptureSubject:
         return replace(
             self,
             rest=np.concatenate([self.rest, rest]),
-            vertices=np.concatenate([self.vertices, mesh.vertices]),
-            faces=np.concatenate([kept, mesh.faces + len(self.vertices)]),
+            vertices=np.concatenate([self.vertices, mesh[0]]),
+            faces=np.concatenate([kept, mesh[1] + len(self.vertices)]),
             skin=SkinWeights(*weights),
             part=np.concatenate([self.part, part]),
             hair=np.concatenate([self.hair, np.full(len(rest), hair)]),

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.optimize import least_squares
 
 from avatar.camera import Camera, pixel_rays, project
 from command.errors import AssetError
@@ -68,6 +67,8 @@ def triangulated(place: str, cameras: list[Camera], pixels: Float[Array, "views 
         AssetError: fewer than two views, rays within LEAST_ANGLE of each other, a point behind a camera, pixels
             that no point explains.
     """
+    from scipy.optimize import least_squares
+
     if len(cameras) < 2:
         raise AssetError(f"{place} should be marked in at least 2 registered pictures, is in {len(cameras)}")
     rays = np.stack([pixel_rays(camera, pixel[None])[1][0] for camera, pixel in zip(cameras, pixels)])
