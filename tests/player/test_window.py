@@ -22,7 +22,7 @@ from player.scene.framing import extent, facing, fitted_camera
 from player.scene.motions import motion_for
 from player.scene.renderer import Renderer
 from player.window.panels import hud_panel
-from player.window.script import NUMBERS, steps
+from player.window.script import GESTURES, steps
 from player.window.window import Window
 
 
@@ -276,5 +276,5 @@ def test_a_turntable_turns_once_in_its_time_and_only_what_is_there_can_be_chosen
 
 def test_docs_name_every_word_of_scripts():
     words = (Path(__file__).parents[2] / "docs" / "play.md").read_text("utf-8").split("## Scripts")[1]
-    for word in (*NUMBERS, "wait", "pose", "press", "type", "down", "up"):
+    for word in (*GESTURES, "wait", "pose", "press", "type", "down", "up"):
         assert re.search(rf"`(?:[^`]*, )?{word}[:`]", words), word
