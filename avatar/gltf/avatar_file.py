@@ -87,7 +87,7 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
     linear = None
     if "linear" in extension:
         values = extension["linear"]
-        # images of 4 features unless there are as many numbers as for 8
+        # there are 4 features unless there are as many numbers as for 8
         count = FEATURES[isinstance(values, list) and len(values) == 9 * FEATURES[1]]
         linear = gltf.numbers(extension, "linear", where, (count, 3, 3)).astype(np.float32)
     try:
