@@ -190,17 +190,21 @@ def carve(
     standing = hull & (distance > least[:, None])
     standing = np.asarray(ndimage.binary_opening(standing, ndimage.generate_binary_structure(3, 1)), bool)
     standing &= hanging(hull & (distance > -2 * cell), axes, scalp)
-    label = pieces(standing)
-    for piece in range(1, int(label.max()) + 1):
-        own = label == piece
-        if own.sum() * cell**3 < LEAST or not own[:, axes[1] > scalp.neck].any():
-            standing &= ~own
+    standing = large_pieces(standing, cell, axes[1] > scalp.neck)
     if not standing.any():
         return None
     # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin
     edge = least[:, None] * (1 - distance_to(standing) * cell / BESIDE)
     solid = hull & (distance > -2 * cell) & (distance < edge) | standing
     return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
+
+
+def large_pieces(cells: Bool[Array, "x y z"], cell: float, levels: Bool[Array, "y"]) -> Bool[Array, "x y z"]:
+    """The cells of pieces of LEAST or more that reach one of the levels."""
+    label = pieces(cells)
+    kept = [n for n in range(1, int(label.max()) + 1)
+            if (label == n).sum() * cell**3 >= LEAST and (label == n)[:, levels].any()]  # fmt: skip
+    return np.isin(label, kept)
 
 
 def hanging(outer: Bool[Array, "x y z"], axes: Sequence[Array], scalp: Scalp) -> Bool[Array, "x y z"]:
@@ -290,11 +294,7 @@ def of_one_color(hair: Hair, wearing: CaptureSubject, colors: Float[Array, "vert
     unlike = np.asarray(ndimage.binary_closing(np.pad(unlike, 3, mode="edge"), iterations=3), bool)
     thick = ndimage.binary_erosion(unlike, iterations=2, border_value=1)
     full &= ~np.asarray(ndimage.binary_propagation(thick, mask=unlike), bool)[3:-3, 3:-3, 3:-3]
-    label = pieces(full)
-    for piece in range(1, int(label.max()) + 1):
-        own = label == piece
-        if own.sum() * hair.cell**3 < LEAST:
-            full &= ~own
+    full = large_pieces(full, hair.cell, np.ones(full.shape[1], bool))
     return hair._replace(share=ndimage.gaussian_filter(full.astype(np.float64), 0.8)) if full.any() else None
 
 
