@@ -8,7 +8,7 @@ RUN = $(VENV)/bin/python
 TORCH_INDEX ?=
 JOBS ?= 2  # test processes side by side
 
-.PHONY: demo test quick test-all hard-cases setup system lint clean
+.PHONY: demo test test-all hard-cases setup system lint clean
 
 demo: setup
 	$(RUN) -m bench.demo out/demo
@@ -18,15 +18,16 @@ PYTEST = OMP_WAIT_POLICY=PASSIVE OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -q -n $
 UNITS = files command avatar geometry capture train bake
 UNHOOKED = --jaxtyping-packages=
 
-# The linters run beside the tests. tests/README.md says which tests are slow.
+# tests/README.md says which tests are slow, and what the runs share.
+MADE := $(shell mktemp -u -d)
+MAKE_ONCE = @mkdir -p $(MADE) && trap 'rm -rf $(MADE)' EXIT && export SELFSCAN_MADE=$(MADE) &&
+
 test: setup
-	@$(MAKE) --no-print-directory -j 2 lint quick
+	$(VENV)/bin/ruff check .
+	$(MAKE_ONCE) $(PYTEST) -m "not slow" $(UNITS:%=tests/%) && \
+		$(PYTEST) -m "not slow" $(UNHOOKED) $(UNITS:%=--ignore=tests/%)
 
-quick:
-	$(PYTEST) -m "not slow" $(UNITS:%=tests/%)
-	$(PYTEST) -m "not slow" $(UNHOOKED) $(UNITS:%=--ignore=tests/%)
-
-test-all: test
+test-all: test lint
 	$(PYTEST) -m slow $(UNHOOKED)
 
 # Runs the hard cases and writes docs/hard-cases.md: case, bound, measured worst error, rasteriser.

@@ -1,4 +1,4 @@
-"""`selfscan make`: four films become an avatar in one go; a first one after minutes, a better one while you watch it.
+"""`selfscan make`: films become an avatar in one go; a first one after minutes, a better one while you watch it.
 
 Each step is the command that a person would type, in a process of its own, and is kept once it is done: Ctrl-C and the
 same command goes on. OUT.making beside the avatar holds what they leave.
@@ -25,9 +25,9 @@ SHORT = 250
 
 ABOUT = Help(
     "selfscan make",
-    """Make an avatar of four films of one person: read them, fit the person, and write a first avatar, textures solved
-from the films; then train the fields of the paper and write a better one over it. `selfscan play` shows the first
-while the second is made. Stopped, the same command goes on where it was.""",
+    """Make an avatar of films of one person, four or the body's alone: read them, fit the person, and write a first
+avatar, textures solved from the films; then train the fields of the paper and write a better one over it. `selfscan
+play` shows the first while the second is made. Stopped, the same command goes on where it was.""",
     """example:
   selfscan make me -o me.glb --stature 1.78       me/ has body.mp4, head.mp4, left.mp4, right.mp4 and keypoints/
   selfscan make me -o me.glb --minutes 4          the first avatar alone""",
@@ -39,7 +39,8 @@ class MakeCommand:
     """`selfscan make`."""
 
     films: Annotated[tuple[Path, ...], Option(positional=True, metavar="FILMS", several=True),
-        "body, head, left and right hand, in this order, or a folder with body.mp4, head.mp4, left.mp4 and right.mp4"]
+        "body, head, left and right hand, in this order, the body alone, or a folder with body.mp4 and any of "
+        "head.mp4, left.mp4 and right.mp4"]
     out: Annotated[Path, Option(("-o", "--out"), "NAME.glb"), "avatar file, replaced whole by each better one"]
     reading: Annotated[FilmOptions, "how the films are read"]
     minutes: Annotated[Literal["4", "15", "60"],
@@ -121,7 +122,7 @@ def main(argv: Sequence[str]) -> int:
     wanted = parse(MakeCommand, argv, ABOUT)
     for film in wanted.films:
         if not film.exists():
-            raise AssetError(f"{film}: expected a film, or a folder of four, found nothing")
+            raise AssetError(f"{film}: expected a film, or a folder of them, found nothing")
     check_file(wanted.out)
     claim(wanted)
     stages = make_stages(wanted)

@@ -38,9 +38,11 @@ def data() -> Path:
 
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Path]:
-    """once(name, make): the path that make(path) filled, in one process of pytest-xdist for all; only to read."""
+    """once(name, make): the path that make(path) filled, in one process of pytest-xdist for all; only to read. Runs of
+    pytest that name the same folder in SELFSCAN_MADE share it too."""
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    shared = Path(os.environ.get("SELFSCAN_MADE") or shared)
 
     def once(name: str, make: Callable[[Path], object]) -> Path:
         place, unfinished = shared / "made" / name, shared / "unfinished" / name

@@ -12,7 +12,7 @@ from capture.check.report import CaptureReport, PartReport, examine, report_fact
 from capture.check.sheet import contact_sheet, overlay
 from capture.check.verdict import verdict
 from capture.folder import Capture, read_capture
-from capture.raw.four_videos import examine_videos, holds_videos
+from capture.raw.four_videos import examine_videos, holds_videos, unfilmed_lines
 from capture.raw.judge import Verdict, verdict_of
 from capture.videos import even
 from command.errors import AssetError
@@ -54,7 +54,7 @@ def _check_videos(arguments: CheckCommand) -> int:
     """Judge videos as filmed."""
     videos = examine_videos(arguments.capture, arguments.keypoints)
     judged = verdict_of(replace(p, part=at.glance.video.name) for at in videos.values() for p in at.problems)
-    print("\n".join([*(at.line() for at in videos.values()), "", *judged.lines()]))
+    print("\n".join([*(at.line() for at in videos.values()), *unfilmed_lines(videos), "", *judged.lines()]))
     facts = {"videos": {part: at.facts() for part, at in videos.items()}, "usable": judged.usable,
              "verdict": judged.line()}  # fmt: skip
     _write_facts(arguments, facts)

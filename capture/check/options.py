@@ -14,7 +14,7 @@ class CheckCommand:
     capture: Annotated[
         tuple[Path, ...], Option(positional=True, metavar="CAPTURE", several=True),
         "folder made by `selfscan synth` or `selfscan import`; or videos as filmed: a folder with body.mp4, head.mp4, "
-        "left.mp4 and right.mp4, or the four files in that order"
+        "left.mp4 and right.mp4 as far as they were filmed, the four files in that order, or the body's alone"
     ]
     out: Annotated[
         Path | None, Option(("-o", "--out"), "DIR"),

@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.skeleton import PARTS
 from capture.fit import body, hand, head
 from capture.fit.footage import Estimate, Footage
 from capture.fit.person import Person
@@ -45,10 +44,9 @@ def focal_of_videos(person: Person, footages: Mapping[str, Footage], report: Rep
     bodily, footage = body.fit_keypoints(person, guess, lambda _: None)
     found.append((bodily.log_focal, marginal(bodily, footage, standing(bodily, footage))))
     report("body")
-    for part in PARTS:
+    for part, footage in footages.items():
         if part == "body":
             continue
-        footage = footages[part]
         if part == "head":
             estimate, priors = head.fit_keypoints(bodily.person, bodily.g, footage)
         else:

@@ -1,16 +1,16 @@
-"""Four videos to a person: body, hands, head, each from what the ones before it found."""
+"""Videos to a person: body, and of hands and head what was filmed, each from what the ones before it found."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from avatar.limits import axis_angle_from_joint_angles
 from avatar.rotation import axis_angle_from_matrix, rotation_between
-from avatar.skeleton import PARTS
+from avatar.skeleton import skin_transforms
 from capture.fit import body, hand, head
 from capture.fit.focal import Focal, focal_of_videos
 from capture.fit.footage import Estimate, Footage, footage_of
@@ -20,6 +20,7 @@ from capture.fit.refusals import check_fit, check_footage, check_upright
 from capture.fit.stored import fingerprint, read_estimate, read_focal, write_estimate, write_focal
 from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
 from capture.read.template import TemplateMesh
+from command.errors import AssetError
 from command.progress import Progress, plural
 
 # shorter sides of the picture: a phone's video, where its file does not say
@@ -38,7 +39,7 @@ LANDMARKS = {
 
 
 def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, work: Path | None = None) -> FittedScan:
-    """The person of four videos, their poses and cameras.
+    """The person of the videos, their poses and cameras.
 
     `sex` ("male", "female") is the free body that is begun with; `stature` in metres (None: that body's own, and every
     length with it). Finished steps are kept in the folder `work`, and not done again for the same videos.
@@ -71,22 +72,21 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
     usable = check_fit("body", estimate, body.sides_restored(estimate, footage))
     found["body"] = posed_video(estimate, footage, usable, level=True)
 
-    for part in ("hand_left", "hand_right"):
-        side, footage = part.removeprefix("hand_"), footages[part]
-        estimate = fit.step(part, estimate.person, estimate.g, footage, lambda person, g, report:
-                            hand.fit_hand(person, g, footage, side, report))  # fmt: skip
-        found[part] = posed_video(estimate, footage, check_fit(part, estimate, footage), level=False)
-
-    footage = footages["head"]
-    estimate = fit.step("head", estimate.person, estimate.g, footage,
-                        lambda person, g, report: head.fit_head(person, g, footage, report))  # fmt: skip
-    camera = estimate.camera(footage)
-    cameras = tuple(replace(camera, camera_from_world=pose) for pose in head.camera_from_head(estimate))
-    found["head"] = FittedVideo(cameras, None, None, check_fit("head", estimate, footage))
+    # a part without a film is looked for in the body's
+    for part in ("hand_left", "hand_right", "head"):
+        filmed = part in footages
+        footage = footages[part] if filmed else footage_in(replace(scan.videos["body"], part=part), phone)
+        try:
+            estimate, found[part] = fit.close_up(part, estimate, footage)
+        except AssetError as error:
+            if filmed:
+                raise
+            notes.append(f"{part}: as the body holds it: {error}")
+            found[part] = carried(part, found["body"], estimate.person.joints(estimate.g))
 
     for part, fitted in found.items():
         if not fitted.usable.all():
-            bad = scan.videos[part].frames[~fitted.usable]
+            bad = scan.videos.get(part, scan.videos["body"]).frames[~fitted.usable]
             notes.append(f"{part}: {plural(len(bad), 'frame')} left out, unexplained by the fit: {bad.tolist()[:20]}")
     vertices = estimate.person.vertices(estimate.g)
     table = body_points()
@@ -119,10 +119,26 @@ class _Fit:
         self.progress.update(self.done, part)
         return estimate
 
+    def close_up(self, part: str, estimate: Estimate, footage: Footage) -> tuple[Estimate, FittedVideo]:
+        """Head or hand, after what was found before.
+
+        Raises:
+            AssetError: too few points show it, or nothing explains them.
+        """
+        check_footage(part, footage)
+        if part == "head":
+            estimate = self.step(part, estimate.person, estimate.g, footage,
+                                 lambda person, g, report: head.fit_head(person, g, footage, report))  # fmt: skip
+            camera = estimate.camera(footage)
+            cameras = tuple(replace(camera, camera_from_world=pose) for pose in head.camera_from_head(estimate))
+            return estimate, FittedVideo(cameras, None, None, check_fit(part, estimate, footage))
+        estimate = self.step(part, estimate.person, estimate.g, footage, lambda person, g, report:
+                             hand.fit_hand(person, g, footage, part.removeprefix("hand_"), report))  # fmt: skip
+        return estimate, posed_video(estimate, footage, check_fit(part, estimate, footage), level=False)
+
     def focal(self, person: Person, footages: Mapping[str, Footage]) -> Focal:
         """The focal length of all videos."""
-        inputs = fingerprint(footages["body"], *(fingerprint(footages[part]) for part in PARTS), person.body.name,
-                             person.stature)  # fmt: skip
+        inputs = fingerprint(footages["body"], *map(fingerprint, footages.values()), person.body.name, person.stature)
         path = None if self.work is None else self.work / "focal.npz"
         found = None if path is None else read_focal(path, inputs)
         if found is None:
@@ -185,6 +201,16 @@ def posed_video(estimate: Estimate, footage: Footage, usable: Bool[Array, "frame
     axis_angle = axis_angle_from_joint_angles(estimate.angles)
     axis_angle[:, 0] = axis_angle_from_matrix(turn @ estimate.heading)
     return FittedVideo((camera,) * len(usable), axis_angle, (estimate.root - middle) @ turn.T, usable)
+
+
+def carried(part: str, body: FittedVideo, joints: Float[Array, "52 3"]) -> FittedVideo:
+    """A part as the body's video holds it: a head goes with its bone, a hand is stiff. `joints` are pose 0's."""
+    if part != "head":
+        return body
+    assert body.axis_angle is not None and body.root is not None
+    heads = skin_transforms(body.axis_angle, joints, body.root, rest=np.zeros((52, 3)))[:, head.HEAD]
+    cameras = (replace(c, camera_from_world=c.camera_from_world @ h) for c, h in zip(body.cameras, heads))
+    return FittedVideo(tuple(cameras), None, None, body.usable)
 
 
 def template_of(estimate: Estimate) -> TemplateMesh:

@@ -1,6 +1,8 @@
-"""The four videos of a person as files: which is which, their keypoints, and what is to be said of each."""
+"""The videos of a person as files: which is which, their keypoints, and what is to be said of each."""
 
+import filecmp
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -20,34 +22,54 @@ from files.whole import whole_file
 NAMES = {
     "body": ("body",), "head": ("head",), "hand_left": ("hand_left", "left"), "hand_right": ("hand_right", "right"),
 }  # fmt: skip
+# of the height of the box round a person's keypoints
+SHARES = {"head": 0.14, "hand_left": 0.11, "hand_right": 0.11}
 ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".webm")
 KEYPOINTS = "keypoints (OpenPose, COCO-WholeBody, MediaPipe) of body, head, hand_left and hand_right"
 
 
 def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
-    """The videos by part: four files in the order body, head, left, right, or a folder that holds them.
+    """The videos by part: the body's alone; four files in the order body, head, left, right; two or three that are
+    called so; or a folder that holds the body's and any of the others.
 
     Raises:
-        AssetError: three files, or a folder in which one is missing.
+        AssetError: the body's is missing, a name says no part, or two files are one film.
     """
-    if len(paths) == len(PARTS):
-        return dict(zip(PARTS, paths, strict=True))
-    if len(paths) > 1:
-        found = ", ".join(map(str, paths))
-        raise AssetError(f"expected four videos, BODY HEAD LEFT RIGHT, found {len(paths)}: {found}")
-    (folder,) = paths
-    out = {}
-    for part in PARTS:
-        places = [folder / (name + ending) for name in NAMES[part] for ending in ENDINGS]
-        out[part] = next((path for path in places if path.is_file()), None)
-    absent = [NAMES[part][-1] for part, path in out.items() if path is None]
-    if absent:
-        raise AssetError(f"{folder}: expected body.mp4, head.mp4, left.mp4 and right.mp4, found no {', '.join(absent)}")
+    if len(paths) == 1 and paths[0].is_dir():
+        places = {part: [paths[0] / (name + ending) for name in NAMES[part] for ending in ENDINGS] for part in PARTS}
+        out = {part: next((path for path in files if path.is_file()), None) for part, files in places.items()}
+        out = {part: path for part, path in out.items() if path is not None}
+        if "body" not in out:
+            raise AssetError(f"{paths[0]}: expected body.mp4, and head.mp4, left.mp4, right.mp4 as far as "
+                             f"filmed, found {', '.join(p.name for p in out.values()) or 'none'}")  # fmt: skip
+    elif len(paths) in (1, len(PARTS)):
+        out = dict(zip(PARTS, paths))
+    else:
+        named = {name: part for part, names in NAMES.items() for name in names}
+        out = {named.get(path.stem, ""): path for path in paths}
+        if "body" not in out or "" in out or len(out) < len(paths):
+            found = ", ".join(path.name for path in paths)
+            raise AssetError(f"expected BODY HEAD LEFT RIGHT, or files called body, head, left, right; found {found}")
+    for a, b in combinations(out.values(), 2):
+        if a.is_file() and b.is_file() and filecmp.cmp(a, b, shallow=False):
+            raise AssetError(f"{b}: is the same film as {a}; leave it out: what is missing is cut from the body's")
     return out
 
 
+def unfilmed_lines(videos: Mapping[str, Judged]) -> list[str]:
+    """What the body's film gives for each part without one."""
+    at = videos["body"].glance
+    tall = float(np.nanmedian(at.boxes[:, 3] - at.boxes[:, 1]))
+    return [
+        f"{part}: no film of its own; {at.video.name} shows it about {share * tall:.0f} pixels high, 200 are wanted"
+        for part, share in SHARES.items() if part not in videos
+    ]  # fmt: skip
+
+
 def holds_videos(folder: Path) -> bool:
-    """Whether a folder has a video of any part in it, and is no capture folder."""
+    """Whether this is a video, or a folder that has one of any part in it and is no capture folder."""
+    if folder.suffix.lower() in ENDINGS and folder.is_file():
+        return True
     names = [name + ending for part in PARTS for name in NAMES[part] for ending in ENDINGS]
     return not (folder / "capture.json").exists() and any((folder / name).is_file() for name in names)
 
@@ -69,7 +91,7 @@ def part_keypoints(folder: Path, part: str, video: VideoFile) -> Keypoints:
 
 
 def examine_videos(paths: Sequence[Path], keypoints: Path | None) -> dict[str, Judged]:
-    """Judge four videos; without `keypoints` those beside them, in a folder of that name, are taken.
+    """Judge videos; without `keypoints` those beside them, in a folder of that name, are taken.
 
     Raises:
         AssetError: a video or its keypoints cannot be read.

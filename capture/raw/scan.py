@@ -59,13 +59,13 @@ class RawVideo:
 
 @dataclass(frozen=True)
 class RawScan:
-    """Four videos of one person, by part."""
+    """The videos of one person, by part: the body's, and of head and hands those that were filmed."""
 
     videos: Mapping[str, RawVideo]
 
     def __post_init__(self):
-        if set(self.videos) != set(PARTS):
-            raise ValueError(f"videos should be {PARTS}, are {tuple(self.videos)}")
+        if "body" not in self.videos or not set(self.videos) <= set(PARTS):
+            raise ValueError(f"videos should be of {PARTS}, the body's among them, are {tuple(self.videos)}")
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,8 @@ class FittedVideo:
 
 @dataclass(frozen=True)
 class FittedScan:
-    """The person of a RawScan: a template and where it stands in every frame."""
+    """The person of a RawScan: a template and where it stands in every frame; all parts, those not filmed as the body's
+    video shows them."""
 
     template: TemplateMesh
     videos: Mapping[str, FittedVideo]

@@ -45,7 +45,7 @@ class PartMasks:
         self, mask: UInt8[Array, "height width"], camera: Camera, fit: FittedVideo, i: int
     ) -> UInt8[Array, "height width"]:
         """The mask of frame i with what is away from the part unknown."""
-        vertices = self._placed(fit, i)
+        vertices = self.placed(fit, i)
         # a quarter of the rows is enough for a margin of centimetres
         step = max(1, mask.shape[0] // 270)
         small = camera.resized((mask.shape[1] // step, mask.shape[0] // step))
@@ -61,7 +61,7 @@ class PartMasks:
         rows, columns = (np.minimum(np.arange(n) // step, m - 1) for n, m in zip(mask.shape, near.shape))
         return np.where(near[rows][:, columns] | (mask == 0), mask, UNKNOWN).astype(np.uint8)
 
-    def _placed(self, fit: FittedVideo, i: int) -> Float[Array, "vertices 3"]:
+    def placed(self, fit: FittedVideo, i: int) -> Float[Array, "vertices 3"]:
         """The template's vertices in the frame of the video's cameras."""
         template = self.template
         if fit.axis_angle is None or fit.root is None:

@@ -70,7 +70,7 @@ class EasyMocapCommand:
 
 @dataclass(frozen=True)
 class FilmOptions:
-    """What is known of four films beside them, and how they are read."""
+    """What is known of the films beside them, and how they are read."""
 
     keypoints: Annotated[
         str,
@@ -104,7 +104,7 @@ class VideoCommand:
     videos: Annotated[
         tuple[Path, ...],
         Option(positional=True, metavar="BODY HEAD LEFT RIGHT", several=True),
-        "the four videos, or a folder with body.mp4, head.mp4, left.mp4 and right.mp4",
+        "the four videos, the body's alone, or a folder with body.mp4 and any of head.mp4, left.mp4 and right.mp4",
     ]
     out: Annotated[Path, Option(("-o", "--out"), "OUT"), "capture folder to write"]
     reading: Annotated[FilmOptions, "how the films are read"]
@@ -123,9 +123,9 @@ docs/capture.md says how to film and which tools to run.
 """
 FILMED = Help(
     "selfscan import video",
-    """Four videos of one person, as filmed, to a capture folder: frames are chosen, the person is cut from the room,
-body, hands, head and cameras are fitted. Look at the videos first with `selfscan check`. Stopped, it goes on where it
-was.""",
+    """Videos of one person, as filmed, to a capture folder: frames are chosen, the person is cut from the room, body,
+hands, head and cameras are fitted. Head and hands without a film are cut from the body's, as sharp as they are there.
+Look at the videos first with `selfscan check`. Stopped, it goes on where it was.""",
     "example: selfscan import video me/body.mp4 me/head.mp4 me/left.mp4 me/right.mp4 --stature 1.78 -o capture",
 )
 RELEASED = Help(

@@ -1,4 +1,4 @@
-"""Four videos as filmed become a capture folder: frames chosen, person masked, body fitted, all of it in one command.
+"""Videos as filmed become a capture folder: frames chosen, person masked, body fitted, all of it in one command.
 
 What is done lies in OUT.partial until the capture is whole: the same command goes on from there.
 """
@@ -25,6 +25,7 @@ from capture.raw.selection import KeptFrames, select
 from capture.raw.video_file import open_video, read_frames, saved
 from capture.read.close_up import PartMasks
 from capture.read.folder import SourceVideo, pictures_in, write_capture
+from capture.read.from_body import cut_close_up
 from command.errors import AssetError
 from command.progress import Progress
 from files.picture import read_picture
@@ -55,8 +56,8 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
         AssetError: a video cannot be used (one line says why and what to do), or keypoints or masks are not its own.
     """
     check_folder(out)
-    videos = {part: open_video(given.videos[part]) for part in PARTS}
-    keypoints = {part: part_keypoints(given.keypoints, part, videos[part]) for part in PARTS}
+    videos = {part: open_video(path) for part, path in given.videos.items()}
+    keypoints = {part: part_keypoints(given.keypoints, part, video) for part, video in videos.items()}
     work = _work_folder(out, given)
     judged = judge_videos(videos, keypoints, work)
     why = refusal(judged)
@@ -66,7 +67,7 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
         raise AssetError(why)
     notes = [problem.line(videos[part].name) for part, at in judged.items() for problem in at.problems]
     raw = {}
-    for part in PARTS:
+    for part in videos:
         chosen = select(judged[part], given.frames)
         notes.append(chosen.line(videos[part].name))
         raw[part] = _prepared(given, judged[part], chosen, work / part)
@@ -171,13 +172,21 @@ def _only_the_part(close_up: PartMasks, fit: FittedVideo, work: Path) -> None:
 
 def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: VideoImport, notes: list[str]) -> None:
     """The capture folder of a fitted scan."""
-    videos = {}
-    for part, raw in scan.videos.items():
-        fit = fitted.videos[part]
+    videos, numbers = {}, {}
+    for part in PARTS:
+        film = given.videos.get(part, given.videos["body"])
+        if part in scan.videos:
+            raw, fit = scan.videos[part], fitted.videos[part]
+        else:
+            raw, fit = cut_close_up(part, scan.videos["body"], fitted, work / part)
+            width, height = raw.size
+            notes = [*notes, f"{part}: not filmed alone, {len(raw.frames)} pictures of {width} x {height} pixels cut "
+                     f"from {film.name}; a film of its own makes it sharper"]  # fmt: skip
+        numbers[part] = [int(n) for n in raw.frames[fit.usable]]
         kept = np.flatnonzero(fit.usable)
         if len(kept) < 4:
             raise AssetError(
-                f"{given.videos[part]}: the person could be fitted in {len(kept)} of {len(raw.frames)} frames"
+                f"{film}: the person could be fitted in {len(kept)} of {len(raw.frames)} frames"
             )
         if part != "body":
             _only_the_part(PartMasks(fitted.template, part, fitted.landmarks), fit, work / part)
@@ -186,7 +195,7 @@ def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: Vide
             tuple(raw.pictures[i] for i in kept),
             tuple(work / part / ("masks" if part == "body" else "own_masks") / f"{i:06d}.png" for i in kept),
             any_value=False, soft=True, cameras=tuple(fit.cameras[i] for i in kept),
-            axis_angle=pick(fit.axis_angle), root=pick(fit.root), place=str(given.videos[part]),
+            axis_angle=pick(fit.axis_angle), root=pick(fit.root), place=str(film),
         )  # fmt: skip
     landmarks = {
         "points": {name: [float(x) for x in point] for name, (point, _) in fitted.landmarks.items()},
@@ -194,9 +203,7 @@ def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: Vide
     }
     facts = {
         "subject": out.name, "source": "video", "input": "from_pixels", "body_licence": fitted.template.licence,
-        "frame_numbers": {
-            part: [int(n) for n in raw.frames[fitted.videos[part].usable]] for part, raw in scan.videos.items()
-        },
+        "filmed": list(scan.videos), "frame_numbers": numbers,
         "notes": [*notes, *fitted.notes],
     }  # fmt: skip
     write_capture(out, fitted.template, videos, landmarks, facts)

@@ -30,10 +30,8 @@ def person(data) -> Path:
 
 
 @pytest.fixture(scope="module")
-def capture(person, tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("capture") / "first"
-    synth(str(person), folder, CONFIG)
-    return folder
+def capture(person, made_once) -> Path:
+    return made_once("real_person", lambda folder: synth(str(person), folder, CONFIG))
 
 
 @pytest.fixture(scope="module")

@@ -29,6 +29,7 @@ def painted(tiny_capture, tmp_path_factory):
     return read_run(tiny_training(tiny_capture, tmp_path_factory.mktemp("painted") / "run", preset=SMALL))
 
 
+@pytest.mark.slow
 def test_a_preview_is_a_run_like_any_other_whose_surface_is_the_template(painted, tiny_capture):
     subject = read_capture(tiny_capture, parts=()).subject
     assert painted.preset.name == "preview" and set(painted.provenance["parts"]) == set(painted.preset.names)
@@ -38,6 +39,7 @@ def test_a_preview_is_a_run_like_any_other_whose_surface_is_the_template(painted
     assert distance.abs().median() < 0.002
 
 
+@pytest.mark.slow
 def test_a_preview_shows_the_colors_of_the_videos(painted, tiny_capture):
     capture = read_capture(tiny_capture)
     colors = seen_colors(capture, {})

@@ -64,6 +64,7 @@ def test_fitting_scales_the_root_by_the_ratio_of_pelvis_heights_and_says_so():
     assert "not scaled" in unknown.notes[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BUILTIN_MOTIONS)
 def test_the_committed_motion_is_what_its_script_makes(name):
     clip, made = read_motion(name).read(), AUTHORED[name]()

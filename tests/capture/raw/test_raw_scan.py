@@ -48,7 +48,8 @@ def test_fields_that_disagree_are_refused(tmp_path, field, value, said):
         RawVideo(**(vars(raw) | {field: value}))
 
 
-def test_three_videos_are_no_scan(tmp_path):
+def test_a_scan_has_the_bodys_video(tmp_path):
     raw = video(tmp_path)
-    with pytest.raises(ValueError, match="videos should be"):
-        RawScan(dict.fromkeys(("body", "head", "hand_left"), raw))
+    assert set(RawScan({"body": raw}).videos) == {"body"}
+    with pytest.raises(ValueError, match="the body's among them"):
+        RawScan(dict.fromkeys(("head", "hand_left"), raw))

@@ -1,0 +1,87 @@
+"""Close-ups that were not filmed: head and hands cut from the body's video, as large as that shows them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+from PIL import Image
+
+from avatar.camera import Camera, project
+from avatar.skeleton import JOINTS, PARTS
+from capture.raw.scan import FittedScan, FittedVideo, RawVideo
+from capture.read.close_up import PartMasks
+from capture.read.template import TemplateMesh
+from command.errors import AssetError
+from files.whole import whole_file
+from geometry.rasterise import rasterise
+
+# metres beside the part that are cut out with it: hair, fingers that are bent otherwise
+BESIDE = {"head": 0.15, "hand_left": 0.06, "hand_right": 0.06}
+# share of a hand's box that may show other parts of the person
+COVERED = 0.15
+LEAST = 4  # frames
+
+
+def cut_close_up(part: str, body: RawVideo, fitted: FittedScan, work: Path) -> tuple[RawVideo, FittedVideo]:
+    """One part in every frame of the body's video that shows it alone, cut out into the folder `work`.
+
+    Raises:
+        AssetError: these are too few.
+    """
+    fit, template = fitted.videos[part], fitted.template
+    place = PartMasks(template, part, fitted.landmarks)
+    own = np.flatnonzero(template.part == PARTS.index(part))
+    whole = PartMasks(template, "body", fitted.landmarks)
+    frames, boxes = [], []
+    for i in np.flatnonzero(fit.usable & fitted.videos["body"].usable).tolist():
+        box = _box(place.placed(fit, i)[own], fit.cameras[i], BESIDE[part] * place.unit)
+        body_fit = fitted.videos["body"]
+        if part == "head" or _covered(whole.placed(body_fit, i), template, part, body_fit.cameras[i], box) < COVERED:
+            frames.append(i)
+            boxes.append(box)
+    if len(frames) < LEAST:
+        raise AssetError(f"body video: shows the {part} alone in {len(frames)} frames, expected {LEAST}: film it too")
+    low, size = _windows(np.array(boxes), body.size)
+    for name in ("images", "masks"):
+        (work / name).mkdir(parents=True, exist_ok=True)
+    cameras, masks, paths = [], [], []
+    for n, i in enumerate(frames):
+        (left, top), (width, height) = low[n].tolist(), size
+        window = np.s_[top : top + height, left : left + width]
+        masks.append(body.masks[i][window])
+        paths.append(work / "images" / f"{n:06d}.png")
+        for path, picture in ((paths[-1], body.picture(i)[window]), (work / "masks" / f"{n:06d}.png", masks[-1])):
+            with whole_file(path) as file:
+                Image.fromarray(picture).save(file, format="PNG", compress_level=1)
+        cameras.append(fit.cameras[i].cropped(left, top, size))
+    points = body.keypoints.of_frames(np.array(frames))
+    points = replace(points, pixels=points.pixels - low[:, None], size=size)
+    raw = RawVideo(part, size, body.rate, body.frames[frames], tuple(paths), np.stack(masks), points, None)
+    posed = (None if values is None else values[frames] for values in (fit.axis_angle, fit.root))
+    return raw, FittedVideo(tuple(cameras), *posed, np.ones(len(frames), bool))
+
+
+def _windows(boxes: Array, size: tuple[int, int]) -> tuple[Array, tuple[int, int]]:
+    """Left and top corners of windows of one size that hold the boxes, inside of the picture."""
+    width, height = (int(n) for n in np.minimum((boxes[:, 1] - boxes[:, 0]).max(0), size))
+    low = np.clip((boxes.sum(1) - [width, height]) // 2, 0, np.array(size) - [width, height])
+    return low, (width, height)
+
+
+def _box(points: Float[Array, "n 3"], camera: Camera, beside: float) -> Array:
+    """The pixels round points, and `beside` round them, in the points' unit: left and top, right and bottom."""
+    pixels, depth = project(camera, points)
+    room = np.ceil(beside * camera.K[0, 0] / np.median(depth))
+    return np.stack([np.floor(pixels.min(0)) - room, np.ceil(pixels.max(0)) + room]).astype(int)
+
+
+def _covered(posed: Float[Array, "vertices 3"], template: TemplateMesh, part: str, camera: Camera, box: Array) -> float:
+    """The share of a box in which parts of the person are seen that neither are `part` nor the forearm before it."""
+    width, height = (int(n) for n in box[1] - box[0])
+    face = rasterise(posed, template.faces, camera.cropped(int(box[0, 0]), int(box[0, 1]), (width, height))).face
+    elbow = JOINTS.index(part.removeprefix("hand_") + "_elbow")
+    near = (template.skin.heaviest == elbow) | (template.part == PARTS.index(part))
+    other: Bool[Array, "faces"] = ~near[template.faces].all(1)
+    return float((other[face] & (face >= 0)).mean())
