@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Int
 
 from avatar.camera import Camera
+from avatar.skeleton import PARTS
 from bench.score.fitted_poses import in_world
 from bench.score.pose_distances import Placement
 from capture.fit.refine import kept_frames, with_refined
@@ -68,7 +69,8 @@ def filmed_poses(run: Path | None, facts: Mapping[str, object], scan: Path, most
     folder = run / said["folder"]
     if not (folder / "capture.json").is_file() or capture_digest(folder) != said.get("digest"):
         return FilmedPoses({}, f"the capture that the run was trained on is not at {folder}")
-    numbers = read_capture(folder, parts=()).facts.get("frame_numbers")
+    capture_facts = read_capture(folder, parts=()).facts
+    numbers, films = capture_facts.get("frame_numbers"), capture_facts.get("filmed", PARTS)
     filmed = folder if numbers is None else scan
     if not (filmed / "truth" / "body" / "video.npz").is_file():
         return FilmedPoses({}, f"no truth of the videos' frames: {filmed / 'truth/body/video.npz'} is absent")
@@ -79,13 +81,15 @@ def filmed_poses(run: Path | None, facts: Mapping[str, object], scan: Path, most
         rows = np.arange(len(capture.videos[part].images)) if numbers is None else np.array(numbers[part], np.int64)
         kept = kept_frames(run, part)
         video = with_refined(capture, run).videos[part]
-        found[part] = _placements(filmed, video, rows if kept is None else rows[kept])
+        # what was not filmed alone is of the body's video
+        film = filmed / "truth" / (part if part in films else "body")
+        found[part] = _placements(film, video, rows if kept is None else rows[kept])
     return FilmedPoses(found, most=most)
 
 
-def _placements(filmed: Path, video: PartVideo, rows: Int[np.ndarray, "frames"]) -> list[Placement]:
-    """The frames of a video; `rows` are their numbers in the truth."""
-    path = filmed / "truth" / video.part / "video.npz"
+def _placements(film: Path, video: PartVideo, rows: Int[np.ndarray, "frames"]) -> list[Placement]:
+    """The frames of a video; `rows` are their numbers in the truth of the film that they were taken from."""
+    path = film / "video.npz"
     shapes = {"poses": ("n", 52, 3), "root": ("n", 3), "K": (3, 3), "camera_from_world": (4, 4), "size": (2,)}
     true = read_arrays(path, shapes)
     if len(rows) != len(video.cameras) or rows.max() >= len(true["root"]):
