@@ -10,16 +10,20 @@ no worse than they agree among themselves. Cells are tried from outside inwards 
 
 c(y) is the median of what views show that see y with no hull before it. Where that is not known nothing is carved:
 skin that was never seen says nothing.
+
+Where shoulders are not where the template has them, the hull holds cloth. With colors that are surely hair's and such
+that are surely not, a cell is empty too when half of the views that see it show rather the others.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray as Array
 from scipy import ndimage
+from scipy.spatial import KDTree
 
 from avatar.camera import Camera, project
 from capture.folder import CaptureSubject
@@ -34,6 +38,8 @@ SAME = 0.05
 # out of 1, mean distance from the median: so far apart are no colors of one place; of cells of hair 5 % exceed .034, of
 # cells in hollows half exceed .14 (two people)
 DISAGREE = 0.08
+# the same where poses and cameras were estimated: the body's and the head's video do not meet on a strand
+ESTIMATED = 0.11
 # share of the views that see a cell: so many must know what lies behind it
 KNOWN = 0.5
 # views at least that see a cell
@@ -41,6 +47,9 @@ SEEN_BY = 3
 # cells: a cell is hidden by what lies nearer by more
 TOLERANCE = 1.5
 ROUNDS = 24
+# a distance of colors in [0, 1] that no hair has; colors of either kind to which one is compared, and steps of each
+# channel in the table of the answers
+UNLIKE, ALIKE, STEPS = 0.06, 8, 32
 # metres: behind a cell nearer to the template than this lies the template
 TOUCHING = 0.012
 
@@ -57,29 +66,42 @@ def color_views(
     images: UInt8[Array, "frames height width 3"],
     masks: Bool[Array, "frames height width"],
     cameras: Sequence[Camera],
+    box: tuple[Float[Array, "3"], Float[Array, "3"]] | None = None,
 ) -> list[ColorView]:
-    """At most FRAMES of a video's pictures, each averaged down to SMALL pixels; cameras take canonical metres."""
+    """At most FRAMES of a video's pictures, or what they show of a `box` (low and high corner), each averaged down to
+    SMALL pixels; cameras take canonical metres."""
     views = []
     for i in even(len(images), FRAMES):
-        by = max(1, int(np.ceil(max(images[i].shape[:2]) / SMALL)))
-        height, width = (n // by * by for n in images[i].shape[:2])
-        mean = lambda a: a[:height, :width].reshape(height // by, by, width // by, by, -1).mean((1, 3))
+        low, high = np.zeros(2, int), np.array(cameras[i].size)
+        if box is not None:
+            pixels, depth = project(cameras[i], np.array(list(product(*zip(*box)))))
+            if depth.min() <= 0:
+                continue
+            low = np.floor(pixels.min(0)).clip(low, high).astype(int)
+            high = np.ceil(pixels.max(0)).clip(low, high).astype(int)
+        (left, top), (width, height) = low.tolist(), (high - low).tolist()
+        by = max(1, int(np.ceil(max(height, width) / SMALL)))
+        height, width = height // by * by, width // by * by
+        if height * width == 0:
+            continue
+        window = np.s_[top : top + height, left : left + width]
+        mean = lambda a: a[window].reshape(height // by, by, width // by, by, -1).mean((1, 3))
         mask = mean(masks[i][..., None].astype(np.float64))[..., 0] > 0.99
-        K = cameras[i].K.copy()
-        K[:2] /= by
-        camera = replace(cameras[i], K=K, size=(width // by, height // by))
-        views.append(ColorView(mean(images[i] / 255.0), mask, camera))
+        cut = cameras[i].cropped(left, top, (width, height))
+        views.append(ColorView(mean(images[i] / 255.0), mask, cut.resized((width // by, height // by))))
     return views
 
 
 def carve_hollows(
     solid: Bool[Array, "x y z"], hair: Bool[Array, "x y z"], low: Float[Array, "3"], cell: float,
-    subject: CaptureSubject, views: Sequence[ColorView],
+    subject: CaptureSubject, views: Sequence[ColorView], sure: "Sure | None" = None,
 ) -> Bool[Array, "x y z"]:  # fmt: skip
-    """The cells of `hair` that are empty; `solid` holds them and the template's inside."""
+    """The cells of `hair` that are empty; `solid` holds them and the template's inside. With `sure` what is no hair by
+    its color is empty too."""
     solid, hair = solid.copy(), hair.copy()
     carved = np.zeros_like(hair)
     behind = [rasterise(subject.vertices, subject.faces, view.camera) for view in views]
+    unlike = None
     for _ in range(ROUNDS):
         outer = solid & ~np.asarray(ndimage.binary_erosion(solid), bool)
         surface = np.argwhere(outer)
@@ -88,7 +110,12 @@ def carve_hollows(
             break
         looks = [_looks(low + cell * surface, view, cell) for view in views]
         colors = _template_colors(subject, views, behind, looks, cell)
-        empty = _shown_behind(views, behind, looks, colors, is_hair, low + cell * surface, subject)
+        shown, expected = _shown_behind(views, behind, looks, colors, is_hair, subject)
+        empty = _empty(shown, expected, DISAGREE if sure is None else ESTIMATED)
+        if sure is not None:
+            grows = sure.hair[tuple(surface[is_hair].T)]
+            unlike = unlike_hair(shown[:, grows], colors[sure.other]) if unlike is None else unlike
+            empty |= ~grows & _mostly(unlike, shown)
         gone = surface[is_hair][empty]
         if len(gone) == 0:
             break
@@ -96,6 +123,33 @@ def carve_hollows(
             cells[tuple(gone.T)] = False
         carved[tuple(gone.T)] = True
     return carved
+
+
+class Sure(NamedTuple):
+    """What is known of an estimated person before any color is."""
+
+    hair: Bool[Array, "x y z"]  # cells that are hair, where the hull holds them
+    other: Bool[Array, "vertices"]  # of the template: skin and clothes that no hair covers
+
+
+def unlike_hair(hair: Float[Array, "*n 3"], others: Float[Array, "m 3"]) -> Bool[Array, "r g b"] | None:
+    """Of all colors those that are rather `others` than `hair`; NaN is no color; None: too few are known."""
+    hair, others = (some.reshape(-1, 3)[np.isfinite(some).all(-1).ravel()] for some in (hair, others))
+    if min(len(hair), len(others)) < ALIKE:
+        return None
+    every = (np.moveaxis(np.indices((STEPS,) * 3), 0, -1).reshape(-1, 3) + 0.5) / STEPS
+    from_hair, from_others = (KDTree(some).query(every, ALIKE)[0].mean(1) for some in (hair, others))
+    return ((from_hair > UNLIKE) & (from_hair > 1.5 * from_others)).reshape((STEPS,) * 3)
+
+
+def _mostly(unlike: Bool[Array, "r g b"] | None, shown: Float[Array, "views k 3"]) -> Bool[Array, "k"]:
+    """Which cells half of the views that see them show in such colors."""
+    seen = np.isfinite(shown).all(2)
+    if unlike is None:
+        return np.zeros(seen.shape[1], bool)
+    place = (STEPS * np.nan_to_num(shown)).astype(int).clip(0, STEPS - 1)
+    number = seen.sum(0)
+    return (number >= SEEN_BY) & (2 * (unlike[tuple(np.moveaxis(place, -1, 0))] & seen).sum(0) >= number)
 
 
 class _Looks(NamedTuple):
@@ -148,9 +202,9 @@ def _template_colors(
 
 def _shown_behind(
     views: Sequence[ColorView], behind: Sequence, looks: Sequence[_Looks], colors: Float[Array, "vertices 3"],
-    is_hair: Bool[Array, "n"], points: Float[Array, "n 3"], subject: CaptureSubject,
-) -> Bool[Array, "k"]:  # fmt: skip
-    """Of the surface's cells that are hair, those that show what lies behind them."""
+    is_hair: Bool[Array, "n"], subject: CaptureSubject,
+) -> tuple[Float[Array, "views k 3"], Float[Array, "views k 3"]]:  # fmt: skip
+    """What views show at the surface's cells that are hair, and what the template would show there; NaN: unknown."""
     k = int(is_hair.sum())
     shown = np.full((len(views), k, 3), np.nan)
     expected = np.full((len(views), k, 3), np.nan)
@@ -162,6 +216,14 @@ def _shown_behind(
         known = (face >= 0) & (drawn.depth[row, column] > look.depth[is_hair][seen] - TOUCHING)
         color = colors[subject.faces[np.where(known, face, 0)]].mean(1)
         expected[i, seen] = np.where(known[:, None], color, np.nan)
+    return shown, expected
+
+
+def _empty(
+    shown: Float[Array, "views k 3"], expected: Float[Array, "views k 3"], disagree: float
+) -> Bool[Array, "k"]:  # fmt: skip
+    """Which cells show what lies behind them, or in no two views the same, by more than `disagree`."""
+    k = shown.shape[1]
     seen = np.isfinite(shown).all(2)
     known = np.isfinite(expected).all(2)
     with np.errstate(invalid="ignore"):
@@ -174,4 +236,4 @@ def _shown_behind(
     matches = (
         (number >= SEEN_BY) & (known.sum(0) >= np.maximum(KNOWN * number, 2)) & (off < SAME) & (off < apart + SAME)
     )
-    return ((number >= 2) & (apart > DISAGREE)) | matches
+    return ((number >= 2) & (apart > disagree)) | matches

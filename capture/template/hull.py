@@ -15,17 +15,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy import ndimage
-from scipy.spatial import KDTree
 
 from avatar.camera import Camera, project
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import Capture, CaptureSubject, PartVideo
-from capture.light.seen_colors import seen_colors
 from capture.template.grid import DistanceGrid, closed_surface, distance_grid
-from capture.template.hollows import ColorView, carve_hollows, color_views
+from capture.template.hollows import ColorView, Sure, carve_hollows, color_views
 from capture.template.parts import rigid_weights
 from capture.template.surface import surface_cloud, visible_faces
+from capture.videos import even
 from geometry.cells import distance_to, pieces
 from geometry.mesh import compact
 
@@ -46,11 +45,9 @@ LEAST = 1e-4
 BROW = 0.65
 # metres: half of a face's width, and how far under the head's lowest skin its throat goes; no hair hangs before either
 FACE, THROAT = 0.06, 0.06
-# metres over the head's lowest skin that what was carved is surely hair, and half of the neckline's width
-CHIN, NECKLINE = 0.08, 0.3
-# a distance of colors in [0, 1] that no hair has; colors of either kind to which one is compared
-UNLIKE, ALIKE = 0.06, 8
-ROUNDS = 2
+# metres over the head's lowest skin from which on what stands off behind the face is surely hair
+CHIN = 0.08
+RISEN = 5  # poses of the body's video whose shoulders are asked
 # levels under the neck over which hair hangs one cell farther out
 STEEP = 3
 # metres beside what stands off, over which its edge sinks to the skin
@@ -165,6 +162,8 @@ class Pictures(NamedTuple):
 
     subject: CaptureSubject
     views: Sequence[ColorView]
+    # vertices of skin and clothes whose colors are no hair's; None: masks and template are exact, colors say no more
+    bare: Bool[Array, "vertices"] | None = None
 
 
 def carve(
@@ -184,7 +183,12 @@ def carve(
     share, seen = background_share(low + cell * asked, views)
     held[tuple(asked.T)] = (share <= trust.against) & (seen >= SEEN_BY)
     if pictures is not None:
-        held &= ~carve_hollows(held, held & (distance > cell), low, cell, *pictures)
+        sure = None
+        if pictures.bare is not None:
+            _, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
+            grows = (y > scalp.neck + CHIN) & (z < scalp.middle[1])
+            sure = Sure(np.broadcast_to(grows, held.shape), pictures.bare)
+        held &= ~carve_hollows(held, held & (distance > cell), low, cell, pictures.subject, pictures.views, sure)
     hull = distance_to(~held) * cell > ERODED
     least = np.where(axes[1] > scalp.neck, STANDS_OFF, trust.trunk)
     standing = hull & (distance > least[:, None])
@@ -230,79 +234,63 @@ def with_hair(
     Template faces inside the hair are dropped, with `layers` into `under_hair`; vertices keep their numbers. Hair
     vertices move with the head; above the neck they belong to the head part, below it to the body.
     """
+    estimated = capture.facts.get("input") == "from_pixels"
     head = subject.vertices[(subject.part == PARTS.index("head")) & ~subject.hair]
     scalp = scalp_of(head)
     around = np.array(AROUND)
     low, high = head.min(0) - around, head.max(0) + [around[0], 0.06, around[2]]
     body = capture.videos["body"]
-    held = under_held_head(subject, body)
-    cloud = surface_cloud(held, PARTS.index("head"), visible_faces(subject), 0.004, 0.008)
-    template = distance_grid(cloud, low, high, CELL, (held, scalp.neck))
+    assert body.axis_angle is not None
+    held, visible = under_held_head(subject, body.axis_angle.mean(0)), visible_faces(subject)
+
+    def distance_of(held: CaptureSubject) -> DistanceGrid:
+        cloud = surface_cloud(held, PARTS.index("head"), visible, 0.004, 0.008)
+        return distance_grid(cloud, low, high, CELL, (held, scalp.neck))
+
+    template = distance_of(held)
+    if estimated:
+        # no place is hair's that shoulders take when they rise
+        others = (under_held_head(subject, body.axis_angle[i]) for i in even(len(body.axis_angle), RISEN))
+        template = template._replace(values=np.min([template.values, *(distance_of(h).values for h in others)], 0))
     views = head_views(capture.videos["head"], canonical_from_head)
     views += body_views(body, subject)
     pictures = None
-    if hollows:
+    if hollows and estimated:
+        # under the chin a close-up's mask is not to be believed, but hair would have hair's color there too
+        count = len(capture.videos["head"].cameras)
+        films = (capture.videos["head"], views[:count]), (body, views[count:])
+        colored = [view for film, seen in films for view in color_views(
+            film.images, ~np.stack([v.beside for v in seen]), [v.camera for v in seen], (low, high))]  # fmt: skip
+        pictures = Pictures(held, colored, bare_vertices(subject, scalp))
+    elif hollows:
         video = capture.videos["head"]
         cameras = head_cameras(video, canonical_from_head)
         pictures = Pictures(subject, color_views(video.images, video.masks, cameras))
-    estimated = capture.facts.get("input") == "from_pixels"
     hair = carve(views, template, scalp, pictures, ESTIMATED if estimated else GIVEN)
     if hair is None:
         return subject
 
-    def wearing(hair: Hair) -> CaptureSubject:
-        vertices, faces = closed_surface(0.5 - hair.share, hair.low, hair.cell, 0.5)
-        # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
-        under = template.at(vertices[faces].mean(1))
-        faces = faces[under > -0.003]
-        covered = hair.at(held.vertices[subject.faces].mean(1)) > 0.75
-        out = joined(subject, subject.faces[~covered], vertices, faces, scalp.neck)
-        return replace(out, under_hair=subject.faces[covered]) if layers else out
-
-    worn = wearing(hair)
-    # what one piece hid is judged once it is gone
-    for _ in range(ROUNDS if estimated else 0):
-        colors = seen_colors(replace(capture, subject=worn), {}, parts=("body", "head"))
-        hair = of_one_color(hair, worn, colors, scalp)
-        if hair is None:
-            return subject
-        worn = wearing(hair)
-    return worn
+    vertices, faces = closed_surface(0.5 - hair.share, hair.low, hair.cell, 0.5)
+    # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
+    under = template.at(vertices[faces].mean(1))
+    faces = faces[under > -0.003]
+    covered = hair.at(held.vertices[subject.faces].mean(1)) > 0.75
+    out = joined(subject, subject.faces[~covered], vertices, faces, scalp.neck)
+    return replace(out, under_hair=subject.faces[covered]) if layers else out
 
 
-def of_one_color(hair: Hair, wearing: CaptureSubject, colors: Float[Array, "vertices 3"], scalp: Scalp) -> Hair | None:
-    """The hair without what hangs under the chin and has rather the color of skin and clothes: where shoulders are not
-    where the template has them, a hull holds them. `colors`: of the subject who wears the hair; None: nothing is left.
-    """
-    assert wearing.carved is not None
-    place, chin = wearing.vertices, scalp.neck + CHIN
-    carved = np.arange(len(place)) >= wearing.carved[0]
-    grown = (wearing.part == PARTS.index("head")) & (place[:, 1] > scalp.brow) & (place[:, 2] < scalp.middle[1])
-    sure = np.where(carved, place[:, 1] > chin, grown)
-    beside = ~carved & ~wearing.hair & (place[:, 1] < scalp.brow) & (place[:, 1] > scalp.neck - AROUND[1])
-    beside &= np.abs(place[:, 0] - scalp.middle[0]) < NECKLINE
-    if min(sure.sum(), beside.sum()) < ALIKE or not carved.any():
-        return hair
-    from_hair, from_others = (KDTree(colors[some]).query(colors[carved], ALIKE)[0].mean(1) for some in (sure, beside))
-    other = (from_hair > UNLIKE) & (from_hair > 1.5 * from_others)
-    full = hair.share > 0.5
-    cells = np.argwhere(full)
-    centers = hair.low + hair.cell * cells
-    unlike = np.zeros(full.shape, bool)
-    unlike[tuple(cells.T)] = other[KDTree(place[carved]).query(centers)[1]] & (centers[:, 1] < chin)
-    # a lock of another color is hair, and so is no strip between two that are not
-    unlike = np.asarray(ndimage.binary_closing(np.pad(unlike, 3, mode="edge"), iterations=3), bool)
-    thick = ndimage.binary_erosion(unlike, iterations=2, border_value=1)
-    full &= ~np.asarray(ndimage.binary_propagation(thick, mask=unlike), bool)[3:-3, 3:-3, 3:-3]
-    full = large_pieces(full, hair.cell, np.ones(full.shape[1], bool))
-    return hair._replace(share=ndimage.gaussian_filter(full.astype(np.float64), 0.8)) if full.any() else None
+def bare_vertices(subject: CaptureSubject, scalp: Scalp) -> Bool[Array, "vertices"]:
+    """The face, and the trunk in front under the neckline: no hair covers them."""
+    x, y, z = subject.vertices.T
+    front = z > scalp.middle[1]
+    face = (subject.part == PARTS.index("head")) & (y < scalp.brow) & (np.abs(x - scalp.middle[0]) < FACE)
+    return front & (face & ~subject.hair | (subject.part == PARTS.index("body")) & (y < scalp.neck - THROAT))
 
 
-def under_held_head(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
-    """The subject as the body's video holds it on average, its head where it rests canonically: the trunk bends, and
-    hair lies on shoulders where they are."""
-    assert body.axis_angle is not None
-    B = skin_transforms(body.axis_angle.mean(0), subject.joints, np.zeros(3))
+def under_held_head(subject: CaptureSubject, axis_angle: Float[Array, "52 3"]) -> CaptureSubject:
+    """The subject in a pose of the body's video, its head where it rests canonically: the trunk bends, and hair lies on
+    shoulders where they are."""
+    B = skin_transforms(axis_angle, subject.joints, np.zeros(3))
     return replace(subject, vertices=skin_points(subject.vertices, subject.skin, np.linalg.inv(B[HEAD]) @ B))
 
 

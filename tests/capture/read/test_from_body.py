@@ -9,8 +9,8 @@ from PIL import Image
 from avatar.camera import project
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
-from capture.fit.scan import LANDMARKS, carried, posed_video, template_of
 from capture.fit.points import body_points
+from capture.fit.scan import LANDMARKS, carried, posed_video, template_of
 from capture.keypoints.record import Keypoints
 from capture.raw.scan import FittedScan, RawVideo
 from capture.read.from_body import LEAST, cut_close_up
@@ -23,7 +23,7 @@ FRAMES, SIZE = 12, 128
 
 @pytest.fixture(scope="module")
 def turning(tmp_path_factory):
-    """A body's video whose pictures hold the place of each pixel, and its fit, with all parts as the body holds them."""
+    """A body's video whose pictures hold the place of each pixel, and its fit: all parts as the body holds them."""
     truth, footage = turning_twin(FRAMES, SIZE)
     template = template_of(truth)
     y, x = np.mgrid[:SIZE, :SIZE]

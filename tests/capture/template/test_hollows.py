@@ -7,11 +7,11 @@ import trimesh
 from avatar.camera import Camera, look_at
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
-from capture.template.hollows import ColorView, carve_hollows, color_views
+from capture.template.hollows import ColorView, Sure, carve_hollows, color_views
 from geometry.rasterise import rasterise
 
 CELL = 0.006
-SKIN, BROWN = np.array([0.9, 0.7, 0.6]), np.array([0.3, 0.2, 0.1])
+SKIN, BROWN, BLUE = np.array([0.9, 0.7, 0.6]), np.array([0.3, 0.2, 0.1]), np.array([0.5, 0.6, 0.9])
 LOW = np.array([-0.15, -0.15, -0.15])
 
 
@@ -38,17 +38,24 @@ def template() -> CaptureSubject:
                           np.ones(count, int), np.zeros(count, bool))  # fmt: skip
 
 
-def filmed(tint: float = 0.0) -> list[ColorView]:
-    """Sixteen pictures from around; `tint` makes hair look different from every side."""
+def filmed(tint: float = 0.0, shoulder: bool = False) -> list[ColorView]:
+    """Sixteen pictures from around; `tint` makes hair look different from every side. With `shoulder` the lower part of
+    the ball is in a shirt, and a block of it stands off at the other side."""
     ball = template()
     box = trimesh.creation.box((0.04, 0.10, 0.06)).subdivide()
+    other = box.copy()
     box.apply_translation((0.08, 0, 0))
-    vertices = np.concatenate([ball.vertices, box.vertices])
-    faces = np.concatenate([ball.faces, box.faces + len(ball.vertices)])
+    other.apply_translation((-0.08, 0, 0))
+    meshes = [ball, box, *([other] if shoulder else [])]
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts)])
     # two halves of the skin in two colours: a cell before it would have to be both
     middle = vertices[faces].mean(1)
     color = np.where((middle[:, :1] * 40).astype(int) % 2 == 0, SKIN, SKIN * 0.8)
     color[len(ball.faces) :] = BROWN
+    if shoulder:
+        color[(middle[:, 0] < -0.062) | (middle[:, 1] < -0.03) & (np.arange(len(faces)) < len(ball.faces))] = BLUE
     K = np.array([[150.0, 0, 48], [0, 150, 48], [0, 0, 1]])
     views = []
     for i in range(16):
@@ -81,6 +88,19 @@ def test_cells_that_show_what_lies_behind_them_are_carved(carved):
 def test_hair_stays_also_where_it_shines_a_little(carved, shine):
     found = carved_by(filmed(shine)) if shine else carved
     assert (found & TRUE).sum() < 0.05 * TRUE.sum()
+
+
+def test_what_shows_the_colors_of_the_shirt_is_no_hair():
+    cloth = cells((-0.10, -0.05, -0.03), (-0.06, 0.05, 0.03))
+    hair, views = TRUE | cloth, filmed(shoulder=True)
+    solid = hair | ball_cells()
+    sure = Sure(TRUE & cells((0.06, 0, -0.03), (0.10, 0.05, 0.03)), template().vertices[:, 1] < -0.03)
+    found = carve_hollows(solid, hair, LOW, CELL, template(), views, sure)
+    outside = cloth & ~ball_cells()
+    assert (found & outside).sum() > 0.9 * outside.sum()
+    assert (found & TRUE).sum() < 0.05 * TRUE.sum()
+    # masks alone cannot tell
+    assert not (carve_hollows(solid, hair, LOW, CELL, template(), views) & outside).sum() > 0.1 * outside.sum()
 
 
 def test_skin_is_never_carved(carved):

@@ -5,20 +5,14 @@ import pytest
 from scipy import ndimage
 
 from avatar.camera import orbit_camera, pixel_rays
-from avatar.skeleton import PARTS
-from avatar.skinning import SkinWeights
-from capture.folder import CaptureSubject
 from capture.template.grid import DistanceGrid, closed_surface
 from capture.template.hull import (
-    HEAD,
     STANDS_OFF,
-    Hair,
     MaskView,
     Scalp,
     background_share,
     carve,
     hanging,
-    of_one_color,
 )
 
 RADIUS = 0.1  # metres, of the head, at the origin
@@ -112,31 +106,6 @@ def test_hair_under_the_neck_hangs_from_what_is_above_it_and_never_before_the_fa
     everything = hanging(np.ones(x.shape, bool), axes, SCALP)
     assert not everything[(np.abs(x) < 0.05) & (z > 0.01) & (y < SCALP.brow - 0.01) & (y > SCALP.neck)].any()
     assert everything[y > SCALP.brow].all() and everything[(z < -0.01) & (y > SCALP.neck)].all()
-
-
-def test_what_hangs_in_the_color_of_the_shirt_is_no_hair_and_a_speck_of_it_in_the_hair_is():
-    mane = (np.abs(GRID[..., 0]) < 0.08) & (GRID[..., 2] < -0.03) & (GRID[..., 1] < 0.1)
-    lobe = (np.abs(GRID[..., 0]) < 0.05) & (GRID[..., 2] > 0.05) & (GRID[..., 1] < -0.05)
-    hair = Hair(ndimage.gaussian_filter((mane | lobe).astype(float), 0.8), LOW, CELL)
-    brown, blue, rng = np.array([0.3, 0.2, 0.15]), np.array([0.6, 0.7, 0.9]), np.random.default_rng(0)
-    vertices, faces = closed_surface(0.5 - hair.share, hair.low, hair.cell, 0.5)
-    skull, trunk = rng.uniform([-0.1, 0.06, -0.1], [0.1, 0.1, 0], (50, 3)), rng.uniform(-0.2, SCALP.neck, (200, 3))
-    places, of_body = np.concatenate([skull, trunk, vertices]), len(skull) + len(trunk)
-    speck = np.linalg.norm(vertices - [0, -0.1, LOW[2]], axis=1) < 0.01
-    shirt = np.concatenate([np.zeros(50, bool), np.ones(200, bool), (vertices[:, 2] > 0.02) | speck])
-    colors = np.where(shirt[:, None], blue, brown) + 0.02 * rng.standard_normal(places.shape)
-    skin = SkinWeights(np.full((len(places), 4), HEAD), np.tile(np.eye(1, 4, dtype=np.float32), (len(places), 1)))
-    part = np.full(len(places), PARTS.index("head"))
-    wearing = CaptureSubject("someone", places, places, faces + of_body, skin, np.zeros((52, 3)), part,
-                             np.arange(len(places)) >= of_body, carved=(of_body, len(places)))  # fmt: skip
-    kept = of_one_color(hair, wearing, colors, SCALP)
-    assert kept is not None
-    assert not (kept.share > 0.5)[lobe].any()
-    core = np.asarray(ndimage.binary_erosion(mane, iterations=2), bool)
-    assert (kept.share > 0.5)[core].mean() > 0.999
-    # hair of the shirt's own color stays as it was carved
-    same = of_one_color(hair, wearing, np.tile(brown, (len(places), 1)), SCALP)
-    assert same is not None and ((same.share > 0.5) == (hair.share > 0.5)).mean() > 0.999
 
 
 def test_background_share_counts_only_pictures_that_hold_the_point():
