@@ -72,17 +72,18 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
     usable = check_fit("body", estimate, body.sides_restored(estimate, footage))
     found["body"] = posed_video(estimate, footage, usable, level=True)
 
-    # a part without a film is looked for in the body's
     for part in ("hand_left", "hand_right", "head"):
-        filmed = part in footages
-        footage = footages[part] if filmed else footage_in(replace(scan.videos["body"], part=part), phone)
-        try:
-            estimate, found[part] = fit.close_up(part, estimate, footage)
-        except AssetError as error:
-            if filmed:
-                raise
-            notes.append(f"{part}: as the body holds it: {error}")
-            found[part] = carried(part, found["body"], estimate.person.joints(estimate.g))
+        if part in footages:
+            estimate, found[part] = fit.close_up(part, estimate, footages[part])
+            continue
+        # a body's video shows a face well enough, but fingers as some pixels
+        found[part] = carried(part, found["body"], estimate.person.joints(estimate.g))
+        if part == "head":
+            try:
+                seen = footage_in(replace(scan.videos["body"], part=part), phone)
+                estimate, found[part] = fit.close_up(part, estimate, seen)
+            except AssetError as error:
+                notes.append(f"head: as the body holds it: {error}")
 
     for part, fitted in found.items():
         if not fitted.usable.all():
