@@ -43,7 +43,7 @@ def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
             raise AssetError(f"{paths[0]}: expected body.mp4, and head.mp4, left.mp4, right.mp4 as far as "
                              f"filmed, found {', '.join(p.name for p in out.values()) or 'none'}")  # fmt: skip
     elif len(paths) in (1, len(PARTS)):
-        out = dict(zip(PARTS, paths))
+        out = {str(part): path for part, path in zip(PARTS, paths)}
     else:
         named = {name: part for part, names in NAMES.items() for name in names}
         out = {named.get(path.stem, ""): path for path in paths}

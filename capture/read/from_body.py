@@ -59,8 +59,8 @@ def cut_close_up(part: str, body: RawVideo, fitted: FittedScan, work: Path) -> t
     points = body.keypoints.of_frames(np.array(frames))
     points = replace(points, pixels=points.pixels - low[:, None], size=size)
     raw = RawVideo(part, size, body.rate, body.frames[frames], tuple(paths), np.stack(masks), points, None)
-    posed = (None if values is None else values[frames] for values in (fit.axis_angle, fit.root))
-    return raw, FittedVideo(tuple(cameras), *posed, np.ones(len(frames), bool))
+    angles, root = (None if values is None else values[frames] for values in (fit.axis_angle, fit.root))
+    return raw, FittedVideo(tuple(cameras), angles, root, np.ones(len(frames), bool))
 
 
 def _windows(boxes: Array, size: tuple[int, int]) -> tuple[Array, tuple[int, int]]:

@@ -146,10 +146,10 @@ def _mostly(unlike: Bool[Array, "r g b"] | None, shown: Float[Array, "views k 3"
     """Which cells half of the views that see them show in such colors."""
     seen = np.isfinite(shown).all(2)
     if unlike is None:
-        return np.zeros(seen.shape[1], bool)
-    place = (STEPS * np.nan_to_num(shown)).astype(int).clip(0, STEPS - 1)
+        return np.zeros(shown.shape[1], bool)
+    red, green, blue = ((STEPS * np.nan_to_num(shown[..., c])).astype(int).clip(0, STEPS - 1) for c in range(3))
     number = seen.sum(0)
-    return (number >= SEEN_BY) & (2 * (unlike[tuple(np.moveaxis(place, -1, 0))] & seen).sum(0) >= number)
+    return (number >= SEEN_BY) & (2 * (unlike[red, green, blue] & seen).sum(0) >= number)
 
 
 class _Looks(NamedTuple):
