@@ -1,1 +1,1 @@
-"""From keypoints and masks of four videos to a person: shape and poses of the free body, and the cameras."""
+"""From keypoints and masks of videos to a person: shape and poses of the free body, and the cameras."""

@@ -22,7 +22,7 @@ from files.whole import whole_file
 NAMES = {
     "body": ("body",), "head": ("head",), "hand_left": ("hand_left", "left"), "hand_right": ("hand_right", "right"),
 }  # fmt: skip
-# of the height of the box round a person's keypoints
+# a part's height over that of the box round a person's keypoints
 SHARES = {"head": 0.14, "hand_left": 0.11, "hand_right": 0.11}
 ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".webm")
 KEYPOINTS = "keypoints (OpenPose, COCO-WholeBody, MediaPipe) of body, head, hand_left and hand_right"

@@ -1,4 +1,4 @@
-"""What fitting begins and ends with: four videos as filmed, with masks and keypoints; a person and cameras.
+"""What fitting begins and ends with: videos as filmed, with masks and keypoints; a person and cameras.
 
     RawScan --capture.fit.fit_scan--> FittedScan --capture.imports.video--> capture folder
 

@@ -33,12 +33,12 @@ def cut_close_up(part: str, body: RawVideo, fitted: FittedScan, work: Path) -> t
     fit, template = fitted.videos[part], fitted.template
     place = PartMasks(template, part, fitted.landmarks)
     own = np.flatnonzero(template.part == PARTS.index(part))
-    whole = PartMasks(template, "body", fitted.landmarks)
     frames, boxes = [], []
     for i in np.flatnonzero(fit.usable & fitted.videos["body"].usable).tolist():
-        box = _box(place.placed(fit, i)[own], fit.cameras[i], BESIDE[part] * place.unit)
-        body_fit = fitted.videos["body"]
-        if part == "head" or _covered(whole.placed(body_fit, i), template, part, body_fit.cameras[i], box) < COVERED:
+        posed, camera = place.placed(fit, i), fit.cameras[i]
+        box = _box(posed[own], camera, BESIDE[part] * place.unit)
+        # hands are as the body's video holds them: the whole person is posed
+        if part == "head" or _covered(posed, template, part, camera, box) < COVERED:
             frames.append(i)
             boxes.append(box)
     if len(frames) < LEAST:

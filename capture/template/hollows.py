@@ -129,7 +129,7 @@ class Sure(NamedTuple):
     """What is known of an estimated person before any color is."""
 
     hair: Bool[Array, "x y z"]  # cells that are hair, where the hull holds them
-    other: Bool[Array, "vertices"]  # of the template: skin and clothes that no hair covers
+    other: Bool[Array, "vertices"]  # the template's skin and clothes that no hair covers
 
 
 def unlike_hair(hair: Float[Array, "*n 3"], others: Float[Array, "m 3"]) -> Bool[Array, "r g b"] | None:
