@@ -111,7 +111,7 @@ def march(
         if len(active) == 0:
             break
         points = origins[active] + t[active, None] * directions[active]
-        length, sample = tree.query(points, distance_upper_bound=reach)
+        length, sample = tree.query(points, distance_upper_bound=reach, workers=-1)
         length, sample = np.minimum(length, reach), np.minimum(sample, len(cloud_points) - 1)
         distance = signed(points, length, cloud_points[sample], template.normals[sample], gap[sample])
         distance = np.where(length < reach, distance, reach)
