@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.spatial import KDTree
@@ -111,7 +112,7 @@ def march(
         if len(active) == 0:
             break
         points = origins[active] + t[active, None] * directions[active]
-        length, sample = tree.query(points, distance_upper_bound=reach, workers=-1)
+        length, sample = tree.query(points, distance_upper_bound=reach, workers=torch.get_num_threads())
         length, sample = np.minimum(length, reach), np.minimum(sample, len(cloud_points) - 1)
         distance = signed(points, length, cloud_points[sample], template.normals[sample], gap[sample])
         distance = np.where(length < reach, distance, reach)

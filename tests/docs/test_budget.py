@@ -13,7 +13,7 @@ BUDGET = {
     "avatar": 8_530,
     "geometry": 1_734,
     "capture": 12_072,
-    "train": 5_786,
+    "train": 5_787,
     "bake": 4_383,
     "player": 18_793,
     "shaders": 1_036,
