@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, overload
 
 import numpy as np
 from jaxtyping import Int, UInt8
+from PIL import Image
 
 from command.errors import AssetError
 from files.picture import PHOTOS, read_picture
+from files.whole import whole_file
 
 Array = np.ndarray
 
@@ -26,6 +28,12 @@ def sized_picture(
     if pixels.shape[1::-1] != size:
         raise AssetError(f"{path}: should be {size} pixels {like}, is {pixels.shape[1::-1]}")
     return pixels
+
+
+def write_picture(path: Path, pixels: UInt8[Array, "height width *c"]) -> None:
+    """Write a frame or its mask as PNG, whole or not at all."""
+    with whole_file(path) as file:
+        Image.fromarray(pixels).save(file, format="PNG", compress_level=1)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from geometry.cells import distance_to, pieces
 from geometry.mesh import (
     TriangleMesh,
     concatenated,
-    connected,
     enclosed_volume,
     face_areas,
     largest_component,
@@ -322,9 +321,8 @@ def _axes(hints: Hints, steps: GridSteps, margin: float, details: Sequence[Detai
 
 def _clusters(points: Float[Array, "n 3"], cell: float = 0.03) -> Integer[Array, "n"]:
     """Groups of points closer than about two cells: the head and each hand get spans of their own."""
-    keys, owner = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
-    owner = owner.reshape(-1)
-    index = {tuple(key): i for i, key in enumerate(keys)}
-    offsets = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
-    edges = [(i, index[t]) for i, key in enumerate(keys) for o in offsets if (t := tuple(key + o)) in index]
-    return connected(np.array(edges), len(keys))[owner]
+    index = np.floor(points / cell).astype(np.int64)
+    index -= index.min(0)
+    occupied = np.zeros(index.max(0) + 1, bool)
+    occupied[tuple(index.T)] = True
+    return pieces(occupied, 3)[tuple(index.T)]

@@ -35,7 +35,10 @@ def find_faults(faces: Integer[Array, "faces 3"], count: int) -> Fault:
     directed = half_edges(faces)
     times, both = (np.unique(_keys(ends, count), return_counts=True)[1] for ends in (directed, np.sort(directed)))
     crowded = int((both > 2).sum()) + int((times > 1).sum())
-    return Fault(int((both == 1).sum()), crowded, _split_count(faces, count), int(degenerate.sum()))
+    fans = _fans(faces, count)
+    owners = np.unique(faces.reshape(-1).astype(np.int64) * (fans.max() + 1) + fans) // (fans.max() + 1)
+    split = int((np.bincount(owners, minlength=count) > 1).sum())
+    return Fault(int((both == 1).sum()), crowded, split, int(degenerate.sum()))
 
 
 def _fans(faces: Integer[Array, "faces 3"], count: int) -> Integer[Array, "corners"]:
@@ -53,12 +56,6 @@ def _fans(faces: Integer[Array, "faces 3"], count: int) -> Integer[Array, "corne
     left, right = order[same], order[same + 1]
     pairs = np.stack([np.concatenate([low[left], high[left]]), np.concatenate([low[right], high[right]])], 1)
     return connected(pairs, faces.size)
-
-
-def _split_count(faces: Integer[Array, "faces 3"], count: int) -> int:
-    fans = _fans(faces, count)
-    pairs = np.unique(faces.reshape(-1).astype(np.int64) * (fans.max() + 1) + fans)
-    return int((np.bincount(pairs // (fans.max() + 1), minlength=count) > 1).sum())
 
 
 def split_nonmanifold(mesh: TriangleMesh, *, rounds: int = 6) -> TriangleMesh:

@@ -98,7 +98,8 @@ def _head_video(studio: Studio, frames: int, size: int) -> Shots:
 
 def head_points(subject: SynthSubject) -> Float[Array, "points 3"]:
     """What a close-up of the head holds, pose 0: the head without hair that hangs, and a collar below."""
-    head = subject.vertices[(subject.part == PARTS.index("head")) & ~_low_hair(subject)].astype(np.float64)
+    low_hair = subject.hair & (subject.vertices[:, 1] < subject.joints[JOINTS.index("neck"), 1])
+    head = subject.vertices[(subject.part == PARTS.index("head")) & ~low_hair].astype(np.float64)
     # the neck is where parts are joined
     collar = head[head[:, 1] < np.quantile(head[:, 1], 0.2)] - [0, 0.04, 0]
     return np.concatenate([head, collar])
@@ -110,11 +111,6 @@ def head_nod(turn: float) -> float:
     second = 0.5 - 0.5 * np.cos(np.radians(turn / 2))
     twice = np.cos(np.radians(2 * turn))
     return float((1 - second) * (-5 - 13 * twice) + second * (17.5 + 2.5 * twice))
-
-
-def _low_hair(subject: SynthSubject) -> Array:
-    """Hair that hangs below the neck: not what a head close-up is framed for."""
-    return subject.hair & (subject.vertices[:, 1] < subject.joints[JOINTS.index("neck"), 1])
 
 
 def relaxed_fingers() -> Float[Array, "52 3"]:

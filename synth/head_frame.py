@@ -6,8 +6,6 @@ Rotation, translation and scale are seeded. A camera keeps its intrinsics: scali
 together changes no picture, so camera_from_head stays a rigid transform in the head frame's unit.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
@@ -16,6 +14,7 @@ from avatar.camera import Camera
 from avatar.rotation import matrix_from_quaternion
 from avatar.skeleton import JOINTS, PARTS, joint_transforms
 from capture.read.places import landmark_vertices
+from capture.template.hull import moved_camera
 from synth.film import Shots
 from synth.template import RegisteredTemplate
 
@@ -46,16 +45,8 @@ def cameras_in_head_frame(
     # what moves with the head: x_world = R (x - J_head) + G_head
     world_from_canonical = G.copy()
     world_from_canonical[:, :3, 3] -= G[:, :3, :3] @ joints[head].astype(np.float64)
-    scale = scale_of(head_from_canonical)
-    turn, shift = head_from_canonical[:3, :3] / scale, head_from_canonical[:3, 3]
-    cameras = []
-    for camera, world in zip(shots.cameras, world_from_canonical, strict=True):
-        camera_from_canonical = camera.camera_from_world @ world
-        camera_from_head = np.eye(4)
-        camera_from_head[:3, :3] = camera_from_canonical[:3, :3] @ turn.T
-        camera_from_head[:3, 3] = scale * camera_from_canonical[:3, 3] - camera_from_head[:3, :3] @ shift
-        cameras.append(replace(camera, camera_from_world=camera_from_head))
-    return tuple(cameras)
+    canonical_from_head = np.linalg.inv(head_from_canonical)
+    return tuple(map(moved_camera, shots.cameras, world_from_canonical @ canonical_from_head))
 
 
 def landmarks(template: RegisteredTemplate, head_from_canonical: Float[Array, "4 4"], seed: int) -> dict[str, dict]:

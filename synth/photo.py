@@ -13,7 +13,7 @@ from avatar.camera import Camera
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from avatar.texture import sample_texture
-from geometry.mesh import vertex_normals, weld
+from geometry.mesh import blended, vertex_normals, weld
 from player.draw.raster import Rasteriser
 from synth.light import FilmLight, shade, sheen_of
 from synth.room import Room, RoomLighting, VertexLight, shade_in_room
@@ -89,9 +89,9 @@ class Studio:
         color = self._color(face, weights)
         if isinstance(light, Room) or light.key > 0 or sheen > 0:
             corners = self.subject.faces[face]
-            normals = _blend(vertex_normals(vertices, self.subject.faces, self.welded), corners, weights)
+            normals = blended(vertex_normals(vertices, self.subject.faces, self.welded), corners, weights)
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-            towards_eye = camera.eye - _blend(vertices, corners, weights)
+            towards_eye = camera.eye - blended(vertices, corners, weights)
             towards_eye /= np.linalg.norm(towards_eye, axis=1, keepdims=True)
             if isinstance(light, Room):
                 facing = (normals * towards_eye).sum(1)
@@ -109,7 +109,7 @@ class Studio:
     def _color(self, face: Int[Array, "n"], weights: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         subject = self.subject
         # float32: a ten-thousandth of a texel
-        uv = _blend(subject.uv, subject.faces[face], weights)
+        uv = blended(subject.uv, subject.faces[face], weights)
         # the samplers repeat; a coordinate of exactly 1 is the far edge, not the near one
         uv = np.where((uv < 0) | (uv > 1), uv - np.floor(uv), uv)
         if len(subject.textures) == 1:
@@ -121,14 +121,6 @@ class Studio:
             if rows.any():
                 color[rows] = sample_texture(texture, uv[rows])
         return color
-
-
-def _blend(values: Float[Array, "vertices C"], corners: Int[Array, "n 3"], weights: Float[Array, "n 3"]) -> Array:
-    """Barycentric interpolation."""
-    blended = values[corners[:, 0]] * weights[:, 0:1]
-    blended += values[corners[:, 1]] * weights[:, 1:2]
-    blended += values[corners[:, 2]] * weights[:, 2:3]
-    return blended
 
 
 def block_sum(samples: Array, n: int) -> Array:

@@ -69,19 +69,23 @@ def read_subject(path: Path) -> SynthSubject:
     materials = sorted({mesh.material for mesh in meshes})
     textures, alpha = zip(*(read_base_color(gltf, index, notes) for index in materials), strict=True)
     part = part_of(skin)
-    is_hair = [_is_hair(mesh.called, mesh.vertices, mesh.weights) for mesh in meshes]
-    is_eye = [_is_eye(mesh.called, hair, mesh.weights) for mesh, hair in zip(meshes, is_hair, strict=True)]
-    hair = np.concatenate([np.full(len(mesh.vertices), own) for mesh, own in zip(meshes, is_hair, strict=True)])
-    eye = np.concatenate([np.full(len(mesh.vertices), own) for mesh, own in zip(meshes, is_eye, strict=True)])
+    hair, eye = np.zeros((2, len(vertices)), bool)
+    for mesh, start in zip(meshes, offsets, strict=False):
+        own = slice(start, start + len(mesh.vertices))
+        on_head = mesh.weights[:, JOINTS.index("head")].mean() > 0.9
+        # called so, or too large for an eye
+        large = np.sort(np.ptp(mesh.vertices, axis=0))[1] > HAIR_SIZE
+        hair[own] = bool(HAIR_NAME.search(mesh.called)) or (on_head and large)
+        eye[own] = on_head and not large and not HAIR_NAME.search(mesh.called) and bool(EYE_NAME.search(mesh.called))
     part[hair] = PARTS.index("head")  # hair that hangs over the shoulders is measured with the head all the same
     subject = SynthSubject(
         name=path.stem,
         vertices=vertices.astype(np.float32),
         faces=faces.astype(np.int32),
         uv=np.concatenate([mesh.uv for mesh in meshes]).astype(np.float32),
-        material=np.concatenate([np.full(len(mesh.faces), materials.index(mesh.material)) for mesh in meshes]).astype(
-            np.int32
-        ),
+        material=np.repeat(
+            [materials.index(mesh.material) for mesh in meshes], [len(mesh.faces) for mesh in meshes]
+        ).astype(np.int32),
         textures=textures,
         alpha=alpha,
         skin=skin,
@@ -130,18 +134,6 @@ def _as_made(gltf: Gltf, subject: SynthSubject) -> SynthSubject:
         hair=fields["hair"][vertices] > 0,
         eye=None if subject.eye is None else subject.eye[vertices],
     )
-
-
-def _is_hair(name: str, vertices: Float[np.ndarray, "vertices 3"], weights: Float[np.ndarray, "vertices 52"]) -> bool:
-    """Whether a mesh is hair: it is called so, or it moves with the head alone and is too large for an eye."""
-    on_head = weights[:, JOINTS.index("head")].mean() > 0.9
-    second_extent = np.sort(np.ptp(vertices, axis=0))[1]
-    return bool(HAIR_NAME.search(name)) or bool(on_head and second_extent > HAIR_SIZE)
-
-
-def _is_eye(name: str, hair: bool, weights: Float[np.ndarray, "vertices 52"]) -> bool:
-    """Whether a mesh is eyeballs: it is called so and moves with the head alone."""
-    return not hair and bool(EYE_NAME.search(name)) and bool(weights[:, JOINTS.index("head")].mean() > 0.9)
 
 
 def _licence(path: Path, gltf: Gltf) -> str:

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy.sparse import coo_matrix, csr_matrix, diags
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_matrix, diags
 from scipy.spatial import KDTree
 
 from avatar.body import Body, builtin_body, shaped
@@ -26,7 +25,7 @@ from capture.read.template import TemplateMesh, body_template
 from capture.template.eyes import RADIUS, body_sockets, fit_sphere
 from geometry.closest import closest_points, triangle_index
 from geometry.least_squares import factorised
-from geometry.mesh import face_normals, neighbour_matrix, vertex_normals
+from geometry.mesh import component_labels, face_normals, half_edges, neighbour_matrix, vertex_normals
 from geometry.sample import stratified_samples
 from player.draw.raster import Rasteriser
 from synth.subject import SynthSubject
@@ -266,9 +265,8 @@ def _place_head(body: Body, x: Float[np.ndarray, "vertices 3"], surface: _Surfac
             shear[row, 3 * i + j] = shear[row, 3 * j + i] = 1
             shear[3 + row, 4 * i], shear[3 + row, 4 * j] = 1, -1
         penalty = 1e-4 * shear.T @ shear + 1e-7 * np.eye(12)
-        delta = np.linalg.solve(
-            rows.T @ rows / len(rows) + penalty, rows.T @ (n[keep] * apart[keep]).sum(1) / len(rows)
-        )
+        right = rows.T @ (n[keep] * apart[keep]).sum(1) / len(rows)
+        delta = np.linalg.solve(rows.T @ rows / len(rows) + penalty, right)
         affine = affine + delta[:9].reshape(3, 3) @ affine
         shift = shift + delta[9:] + delta[:9].reshape(3, 3) @ shift
     moved = nose + (x - nose) @ affine.T + shift
@@ -284,8 +282,7 @@ def _outer_vertices(
     between the lips); the outer skin is the largest piece of such faces.
     """
     kept = faces[view_counts(rasteriser, x, faces, enough=6) >= 6]
-    edges = np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]]])
-    _, piece = connected_components(coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x), len(x))), directed=False)
+    piece = component_labels(kept, len(x))
     return piece == np.bincount(piece[kept[:, 0]]).argmax()
 
 
@@ -325,12 +322,10 @@ def _smooth_offsets(
     sample_finger = _fingers(surface.joint)
     groups = []
     for f in np.unique(finger):
-        if f >= 0:
-            allowed = (sample_finger == f) | (sample_finger == (-2 if f < 5 else -1))
-        elif f == -3:
-            allowed = sample_finger < 0
-        else:
-            allowed = (sample_finger < 0) | ((sample_finger // 5 == (0 if f == -2 else 1)) & (sample_finger >= 0))
+        # a finger meets itself and its palm, all else what is no finger, and a palm its own fingers too
+        allowed = (sample_finger == f) | (sample_finger == f // 5 - 2) if f >= 0 else sample_finger < 0
+        if f in (-2, -1):
+            allowed |= sample_finger // 5 == f + 2
         rows = np.flatnonzero(allowed)
         tree = KDTree(np.concatenate([surface.points[rows], reach * surface.normals[rows]], 1))
         groups.append((np.flatnonzero(finger == f), rows, tree))
@@ -374,7 +369,7 @@ def _under_hair(
     straight_out = outside > np.minimum(0.85 * distance, distance - 0.005)  # within half a centimetre any side will do
     covered = (distance < HAIR_REACH) & straight_out
     # close small gaps (where the nape turns away from the hair): grow by four edges, shrink by four
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = half_edges(faces)
     for value in (True, False):
         for _ in range(4):
             reached = edges[(covered[edges] == value).any(1)]

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 
 from avatar.camera import Camera, look_at, project
 from avatar.rotation import fibonacci_sphere
-from player.draw.raster import Fragments, Rasteriser
+from player.draw.raster import Rasteriser
 
 # orthographic directions from which a face may be seen (FRAMES.md, Evaluation)
 VIEWS = 64
@@ -34,7 +34,10 @@ def view_counts(
         seen = np.zeros(len(faces), bool)
         seen[fragments.face[fragments.face >= 0]] = True
         left = np.flatnonzero(~seen & (count < enough))
-        seen[left] = _on_depth_image(fragments, camera, middles[left])
+        # on what was drawn, or before it
+        pixels, depth = project(camera, middles[left])
+        x, y = np.clip(pixels.astype(np.int64), 0, VIEW_SIZE - 1).T
+        seen[left] = (fragments.face[y, x] >= 0) & (depth < fragments.depth[y, x] + VIEW_BIAS)
         count += seen
     return count
 
@@ -48,10 +51,3 @@ def outside_cameras(vertices: Float[np.ndarray, "vertices 3"]) -> list[Camera]:
     K = np.array([[focal, 0, VIEW_SIZE / 2], [0, focal, VIEW_SIZE / 2], [0, 0, 1]])
     size = (VIEW_SIZE, VIEW_SIZE)
     return [Camera(K, look_at(centre + distance * d, centre), size) for d in fibonacci_sphere(VIEWS)]
-
-
-def _on_depth_image(fragments: Fragments, camera: Camera, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-    """Points that lie on what was drawn, or before it."""
-    pixels, depth = project(camera, points)
-    x, y = np.clip(pixels.astype(np.int64), 0, VIEW_SIZE - 1).T
-    return (fragments.face[y, x] >= 0) & (depth < fragments.depth[y, x] + VIEW_BIAS)

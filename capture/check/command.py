@@ -5,7 +5,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from capture.check.face import FaceReport, close_ups, face_line
+from capture.check.face import close_ups, face_line
 from capture.check.keypoints import Followed, compare_keypoints, keypoint_findings, keypoint_lines
 from capture.check.options import CheckCommand
 from capture.check.report import CaptureReport, PartReport, examine, report_facts
@@ -45,7 +45,8 @@ def check_capture(arguments: CheckCommand) -> int:
         write_overlays(out / "overlays.png", capture, report)
         print(f"{out / 'overlays.png'}: outline of the mask red, of the template's parts in other colors")
         if report.face is not None and report.face.shown:
-            write_face(out / "face.png", capture, report.face)
+            with whole_file(out / "face.png") as file:
+                Image.fromarray(close_ups(capture, report.face)).save(file, format="PNG")
             print(f"{out / 'face.png'}: the face at 512 pixels, as the head's video shows it")
     return 0 if judged.usable else 1
 
@@ -55,9 +56,8 @@ def _check_videos(arguments: CheckCommand) -> int:
     videos = examine_videos(arguments.capture, arguments.keypoints)
     judged = verdict_of(replace(p, part=at.glance.video.name) for at in videos.values() for p in at.problems)
     print("\n".join([*(at.line() for at in videos.values()), *unfilmed_lines(videos), "", *judged.lines()]))
-    facts = {"videos": {part: at.facts() for part, at in videos.items()}, "usable": judged.usable,
-             "verdict": judged.line()}  # fmt: skip
-    _write_facts(arguments, facts)
+    facts = {part: at.facts() for part, at in videos.items()}
+    _write_facts(arguments, {"videos": facts, "usable": judged.usable, "verdict": judged.line()})
     return 0 if judged.usable else 1
 
 
@@ -104,12 +104,6 @@ def _histograms(parts: list[PartReport]) -> list[str]:
     tables = [["".join(sign(n) for n in row) for row in part.coverage.histogram.tolist()] for part in parts]
     out = ["  " + "  ".join(f"{part.part:<12}" for part in parts)]
     return out + ["  " + "  ".join(rows) for rows in zip(*tables)]
-
-
-def write_face(path: Path, capture: Capture, face: FaceReport) -> None:
-    """The face from the front and from either side."""
-    with whole_file(path) as file:
-        Image.fromarray(close_ups(capture, face)).save(file, format="PNG")
 
 
 def write_overlays(path: Path, capture: Capture, report: CaptureReport) -> None:

@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 from PIL import Image
 
 from avatar.camera import project
 from avatar.skeleton import PARTS
+from capture.check.coverage import camera_directions
 from capture.check.silhouette import canonical_from_head
 from capture.folder import Capture
 from capture.template.eyes import eye_openings, eye_spheres
@@ -59,9 +60,11 @@ def face_report(capture: Capture) -> FaceReport | None:
     opening = eye_openings(capture.subject)
     if spheres is None or not len(opening):
         return None
-    video, to_head = capture.videos["head"], np.linalg.inv(canonical_from_head(capture))
+    to_head = np.linalg.inv(canonical_from_head(capture))
     scale = float(np.cbrt(np.linalg.det(to_head[:3, :3])))
-    turns = np.array([_turn(capture, frame, to_head) for frame in range(len(video.images))])
+    # degrees from straight before the face to the camera, to its left positive
+    x, _, z = camera_directions(capture, "head").T
+    turns = np.degrees(np.arctan2(x, z))
     looks: list[_Look] = []
     for frame in np.flatnonzero(np.abs(turns) < FRONT):
         for centre in spheres.centres:
@@ -84,14 +87,6 @@ def face_report(capture: Capture) -> FaceReport | None:
         closed=tuple(frame for frame in seen if contrast[frame] < CLOSED * usual),
         shown=tuple(int(np.abs(turns - wanted).argmin()) for wanted in (0.0, -TURNED, TURNED)),
     )
-
-
-def _turn(capture: Capture, frame: int, head_from_canonical: Float[Array, "4 4"]) -> float:
-    """Degrees from straight before the face to the camera, to its left positive."""
-    canonical_eye = np.linalg.inv(head_from_canonical) @ np.r_[capture.videos["head"].cameras[frame].eye, 1.0]
-    middle = capture.subject.vertices[capture.subject.part == PARTS.index("head")].mean(0)
-    x, _, z = canonical_eye[:3] - middle
-    return float(np.degrees(np.arctan2(x, z)))
 
 
 def _look(capture: Capture, frame: int, opening: Float[Array, "n 3"], scale: float) -> _Look | None:
@@ -123,22 +118,14 @@ def close_ups(capture: Capture, report: FaceReport) -> UInt8[Array, "height widt
     for frame in report.shown:
         pixels, _ = project(video.cameras[frame], face)
         middle, side = 0.5 * (pixels.min(0) + pixels.max(0)), 1.05 * float(np.ptp(pixels, axis=0).max())
-        box = (*(middle - side / 2), *(middle + side / 2))
-        picture = _whole(video.images[frame], video.masks[frame])
-        pictures.append(np.asarray(picture.resize((SIDE, SIDE), Image.Resampling.BICUBIC, _inside(box, picture.size))))
+        image = video.images[frame]
+        # darkened beside the person
+        picture = Image.fromarray(np.where(video.masks[frame, ..., None], image, image // 2))
+        low, side = middle - side / 2, min(side, *picture.size)
+        x, y = (float(np.clip(low[i], 0, picture.size[i] - side)) for i in (0, 1))
+        picture = picture.resize((SIDE, SIDE), Image.Resampling.BICUBIC, (x, y, x + side, y + side))
+        pictures.append(np.asarray(picture))
     return np.hstack(pictures)
-
-
-def _whole(image: UInt8[Array, "height width 3"], mask: Bool[Array, "height width"]) -> Image.Image:
-    """A frame, darkened beside the person."""
-    return Image.fromarray(np.where(mask[..., None], image, image // 2))
-
-
-def _inside(box: tuple[float, ...], size: tuple[int, int]) -> tuple[float, float, float, float]:
-    """The box as a square as large as the picture allows, shifted into it."""
-    side = min(box[2] - box[0], *size)
-    x, y = (float(np.clip(box[i], 0, size[i] - side)) for i in (0, 1))
-    return x, y, x + side, y + side
 
 
 def face_line(report: FaceReport) -> str:

@@ -97,7 +97,8 @@ def examine_part(capture: Capture, part: str, head_scale: float, visible: Bool[A
     fill = np.log(np.maximum(table[:, 4], 1e-3))
     jumps = np.flatnonzero(seen & (np.abs(fill - np.median(fill[seen])) > JUMP)) if seen.any() else []
     own = np.array([(o.parts == index).sum() for o in outlines])
-    left_out = [((o.parts == index) & ~_compared(video.masks[o.frame], o)).sum() for o in outlines]
+    inside = [(o.parts == index) & _compared(video.masks[o.frame], o) for o in outlines]
+    left_out = own - [area.sum() for area in inside]
     distance = _distance(capture, part) * (head_scale if part == "head" else 1.0)
     sharp = sharpness(video.images, video.masks)
     return PartReport(
@@ -109,13 +110,11 @@ def examine_part(capture: Capture, part: str, head_scale: float, visible: Bool[A
         outlines=outlines,
         mean=mean,
         worst=worst,
-        outside=float(np.median(np.array(left_out) / np.maximum(own, 1))),
+        outside=float(np.median(left_out / np.maximum(own, 1))),
         exchanged=_exchanged(capture, part, outlines, mean),
         empty=tuple(i for i, mask in enumerate(video.masks) if not mask.any()),
         jumps=tuple(outlines[i].frame for i in jumps),
-        cropped=tuple(
-            o.frame for o in outlines if _touches_border((o.parts == index) & _compared(video.masks[o.frame], o))
-        ),
+        cropped=tuple(o.frame for o, area in zip(outlines, inside) if area.sum() > area[1:-1, 1:-1].sum()),
         blurred=tuple(blurred(sharp)),
         repeated=tuple(repeated(video.images)),
         missing=tuple(missing(capture.path / part / "images")),
@@ -127,10 +126,6 @@ def examine_part(capture: Capture, part: str, head_scale: float, visible: Bool[A
 def _compared(mask: Array, o: TemplateOutline) -> Array:
     begin, (rows, columns) = o.step // 2, o.parts.shape
     return mask[begin :: o.step, begin :: o.step][:rows, :columns]
-
-
-def _touches_border(area: Array) -> bool:
-    return bool(area[0].any() or area[-1].any() or area[:, 0].any() or area[:, -1].any())
 
 
 def _distance(capture: Capture, part: str) -> float:

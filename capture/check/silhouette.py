@@ -21,6 +21,8 @@ from geometry.rasterise import rasterise
 # Measured on four people: exact poses 0.3-0.5; masks eroded by 3 px 0.5, dilated by 3 px 0.9; 2 degrees of pose noise
 # 2.2 on the body, 25-35 on the hands.
 MISALIGNED = 1.0
+# frames of a part that say whether its poses are worth refining
+COMPARED = 4
 # a larger frame is compared on every second, third ... pixel
 ROWS = 540
 
@@ -51,20 +53,19 @@ class TemplateOutline:
     step: int  # pixels of the image between compared ones
 
 
-def outline_errors(capture: Capture, frames: int = 4) -> dict[str, float]:
-    """Mean outline error (`spread`) of each part over `frames` even frames, in `common` pixels.
+def outline_errors(capture: Capture) -> dict[str, float]:
+    """Mean outline error (`spread`) of each part over COMPARED even frames, in `common` pixels.
 
     Beyond MISALIGNED the poses (or the template) do not explain the silhouettes; but for the head, whose outline is
     that of the hair, which no template has. A part whose outlines are never both in the image is infinitely far off.
     """
-    return {part: _outline_error(capture, part, frames) for part in capture.videos}
-
-
-def _outline_error(capture: Capture, part: str, frames: int) -> float:
-    video = capture.videos[part]
-    spread = np.array([outline(capture, part, i).agreement.spread for i in even(len(video.masks), frames)])
-    seen = np.isfinite(spread)
-    return common(float(spread[seen].mean()), video.masks.shape[1]) if seen.any() else np.inf
+    errors = {}
+    for part in capture.videos:
+        frames, rows, _ = capture.videos[part].masks.shape
+        spread = np.array([outline(capture, part, i).agreement.spread for i in even(frames, COMPARED)])
+        seen = np.isfinite(spread)
+        errors[part] = common(float(spread[seen].mean()), rows) if seen.any() else np.inf
+    return errors
 
 
 def common(pixels: float, rows: int) -> float:
@@ -139,13 +140,10 @@ def agreement(parts: Int[Array, "height width"], mask: Bool[Array, "height width
     within = np.where(template, to_template, -to_template)[facing]
     signed = np.concatenate([beyond, within])
     offset = float(np.median(signed))
-    edge, spread = (float(_mean_of_both(np.abs(beyond - o), np.abs(within - o))) for o in (0.0, offset))
+    # each outline counts the same, however many pixels it has; the second may be empty
+    both = [beyond, within] if len(within) else [beyond]
+    edge, spread = (float(np.mean([np.abs(one - o).mean() for one in both])) for o in (0.0, offset))
     return Agreement(edge, offset, spread, iou, fill)
-
-
-def _mean_of_both(a: Array, b: Array) -> float:
-    """Each outline counts the same, however many pixels it has; the second may be empty."""
-    return 0.5 * (a.mean() + b.mean()) if len(b) else a.mean()
 
 
 def _outline(area: Bool[Array, "height width"]) -> Bool[Array, "height width"]:

@@ -79,7 +79,10 @@ def unseen_places(
     `frames` are how many see each vertex, `visible` the faces that can be seen at all (all of them for None).
     """
     area = face_areas(vertices, faces) * (1 if visible is None else visible)
-    facing = _sides(face_normals(vertices, faces))
+    cosine = face_normals(vertices, faces) @ np.array([direction for direction, *_ in SIDES.values()], np.float64).T
+    # left and right are one side
+    cosine[:, -1] = np.abs(cosine[:, -1])
+    facing = cosine.argmax(1)
     missed = (frames < ENOUGH)[faces].mean(1)
     joint = skin.heaviest[faces[:, 0]]
     found = []
@@ -97,14 +100,6 @@ def unseen_places(
                 which = "" if not right else "the left " if areas[0] else "the right "
                 found.append(UnseenPlace(f"{singular} {which}{one} was", sum(areas), advice))
     return tuple(sorted(found, key=lambda place: -place.area)[:MOST])
-
-
-def _sides(normal: Float[Array, "faces 3"]) -> Int[Array, "faces"]:
-    """The side that each face belongs to, a number of SIDES; left and right are one."""
-    directions = np.array([direction for direction, *_ in SIDES.values()], np.float64)
-    cosine = normal @ directions.T
-    cosine[:, -1] = np.abs(cosine[:, -1])
-    return cosine.argmax(1)
 
 
 def _missed_area(area: Float[Array, "faces"], missed: Float[Array, "faces"]) -> float:

@@ -87,7 +87,7 @@ def mask_contour(mask: UInt8[Array, "height width"] | Float[Array, "height width
 
 
 class Silhouette(NamedTuple):
-    """Vertices of the posed template that lie on its outline."""
+    """Vertices of the posed template on its outline, where each is or should be, and which way is out."""
 
     vertices: Int[Array, "n"]
     at: Float[Array, "n 2"]
@@ -95,9 +95,8 @@ class Silhouette(NamedTuple):
 
 
 def silhouette(
-    x: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], camera: Camera, chosen: Bool[Array, "vertices"],
-    count: int = SAMPLES,
-) -> Silhouette:  # fmt: skip
+    x: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], camera: Camera, chosen: Bool[Array, "vertices"]
+) -> Silhouette:
     """Some of the `chosen` vertices on the outline, spread evenly.
 
     They lie between a face that is seen and one that is not, with nothing drawn just outside them.
@@ -122,10 +121,10 @@ def silhouette(
     outside = np.clip(outside, 0, np.array(small) - 1)
     free = inside & ~drawn[outside[:, 1], outside[:, 0]]
     rim, flat = rim[free], flat[free]
-    if len(rim) > count:
+    if len(rim) > SAMPLES:
         # neighbours on the outline have neighbouring angles round its middle
         middle = at[rim].mean(0)
         order = np.argsort(np.arctan2(*(at[rim] - middle).T), kind="stable")
-        keep = order[np.linspace(0, len(rim) - 1, count).astype(int)]
+        keep = order[np.linspace(0, len(rim) - 1, SAMPLES).astype(int)]
         rim, flat = rim[keep], flat[keep]
     return Silhouette(rim, at[rim], flat)

@@ -50,7 +50,9 @@ def mask_offsets(videos: Mapping[str, PartVideo], subject: CaptureSubject) -> di
     offsets = {part: outline_offset(videos[part], subject) for part in videos}
     for _ in range(MEASURED_AGAIN if believed_offset(offsets) else 0):
         middle = believed_offset(offsets)
-        offsets = {part: middle + outline_offset(_shrunk(videos[part], middle), subject) for part in videos}
+        for part in videos:
+            masks = regrown(videos[part].masks, -pixels_off(videos[part], middle))
+            offsets[part] = middle + outline_offset(replace(videos[part], masks=masks), subject)
     return offsets
 
 
@@ -76,8 +78,12 @@ def redrawn(video: PartVideo, subject: CaptureSubject, pixels: float) -> Redrawn
     """
     masks, unsure = np.empty_like(video.masks), np.empty_like(video.masks)
     for f, mask in enumerate(video.masks):
-        drawn = _template_pixels(video, subject, f) if pixels < 0 else np.zeros_like(mask)
-        masks[f], unsure[f] = edge_by_colors(video.images[f], mask, pixels, drawn)
+        limb = np.zeros_like(mask)
+        if pixels < 0 and video.axis_angle is not None and video.root is not None:
+            B = skin_transforms(video.axis_angle[f], subject.joints, video.root[f])
+            posed = skin_points(subject.vertices, subject.skin, B)
+            limb = rasterise(posed, subject.faces, video.cameras[f]).face >= 0
+        masks[f], unsure[f] = edge_by_colors(video.images[f], mask, pixels, limb)
     return Redrawn(masks, unsure)
 
 
@@ -110,18 +116,6 @@ def edge_by_colors(
     share = np.where(probability.sum(0) > 1e-6, share, 0.5)
     found = share > 0.5
     return found, (np.abs(share - 0.5) < UNSURE) | (limb & ~found)
-
-
-def _template_pixels(video: PartVideo, subject: CaptureSubject, f: int) -> Bool[Array, "height width"]:
-    """Where the template is drawn in frame f; nowhere for a video without poses."""
-    if video.axis_angle is None or video.root is None:
-        return np.zeros(video.masks.shape[1:], bool)
-    B = skin_transforms(video.axis_angle[f], subject.joints, video.root[f])
-    return rasterise(skin_points(subject.vertices, subject.skin, B), subject.faces, video.cameras[f]).face >= 0
-
-
-def _shrunk(video: PartVideo, masks_off: float) -> PartVideo:
-    return replace(video, masks=regrown(video.masks, -pixels_off(video, masks_off)))
 
 
 def signed_pixels(masks: Bool[Array, "frames height width"]) -> Float[Array, "frames height width"]:

@@ -16,7 +16,7 @@ from scipy import sparse
 
 from avatar.kinematics import pixel_rows, skinned
 from capture.fit.footage import Estimate, Footage
-from capture.fit.outline_term import SIGMA, Outlines, Pairs
+from capture.fit.outline_term import SIGMA, Outlines
 from capture.fit.priors import Priors
 from capture.fit.solve import posed_frames
 from geometry.least_squares import factorised, robust_weight
@@ -47,11 +47,11 @@ def bilaplacian(vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3
 
 
 def fit_offsets(
-    estimate: Estimate, footage: Footage, outlines: Outlines, pairs: list[Pairs], held: Bool[Array, "vertices"],
+    estimate: Estimate, footage: Footage, outlines: Outlines, chosen: Bool[Array, "vertices"],
     stiffness: tuple[float, ...] = STIFFNESS,
 ) -> Float[Array, "vertices 3"]:  # fmt: skip
-    """Offsets in pose 0 for which the outlines agree best, within what they may stand off; vertices `held` keep those
-    that they have.
+    """Offsets in pose 0 for which the outlines agree best, within what they may stand off; only those of the `chosen`
+    vertices change.
     """
     person = estimate.person
     bare = person.vertices(estimate.g) - person.offsets
@@ -59,7 +59,7 @@ def fit_offsets(
     start = (person.offsets * normals).sum(1)
     rows, columns, values = [], [], []
     camera = estimate.camera(footage)
-    for frame, pair in zip(posed_frames(estimate), pairs):
+    for frame, pair in zip(posed_frames(estimate), outlines.pairs(estimate, footage, chosen)):
         points = estimate.skin(pair.vertices)
         x = skinned(frame, points)
         at, moves = pixel_rows(camera, x)
@@ -74,7 +74,7 @@ def fit_offsets(
     Q = bilaplacian(bare, person.body.faces)
     sigma = SIGMA * outlines.scale
     d = start.copy()
-    free, fixed = np.flatnonzero(~held), np.flatnonzero(held)
+    free, fixed = np.flatnonzero(chosen), np.flatnonzero(~chosen)
     among, across = Q[free][:, free], Q[free][:, fixed] @ start[fixed]
     for stiff in stiffness:
         e = (r - slope * d[vertex]) ** 2 / sigma**2
@@ -93,8 +93,7 @@ def dressed(
     stiffness: tuple[float, ...] = STIFFNESS,
 ) -> Estimate:  # fmt: skip
     """The estimate with the `chosen` vertices' offsets for which the outlines agree best."""
-    pairs = outlines.pairs(estimate, footage, chosen)
-    offsets = fit_offsets(estimate, footage, outlines, pairs, ~chosen, stiffness)
+    offsets = fit_offsets(estimate, footage, outlines, chosen, stiffness)
     return replace(estimate, person=estimate.person.with_offsets(offsets))
 
 

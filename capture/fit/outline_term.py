@@ -7,14 +7,12 @@ pixel too large), and a template that lacks clothes would bend its legs to fill 
 steps.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from avatar.kinematics import Posed, pixel_rows, pose_rows, shape_rows, skinned
-from capture.fit.contours import Contour, mask_contour, silhouette
+from capture.fit.contours import Contour, Silhouette, mask_contour, silhouette
 from capture.fit.footage import Estimate, Footage
 from capture.fit.priors import Priors, shared_layout
 from capture.fit.solve import posed_frames, solve
@@ -30,15 +28,6 @@ CUT = 12.0
 SLACK = 1.5
 
 
-@dataclass(frozen=True)
-class Pairs:
-    """Silhouette vertices of one frame, and the places of the mask's outline that stand for them."""
-
-    vertices: Int[Array, "n"]
-    at: Float[Array, "n 2"]
-    normals: Float[Array, "n 2"]
-
-
 class Outlines:
     """The masks' outlines of a video.
 
@@ -50,8 +39,8 @@ class Outlines:
         self.scale = min(footage.size) / 512
         self.contours: list[Contour] = [mask_contour(mask) for mask in footage.masks]
 
-    def pairs(self, estimate: Estimate, footage: Footage, chosen: Bool[Array, "vertices"]) -> list[Pairs]:
-        """Pairs of all frames at an estimate; `chosen` vertices alone."""
+    def pairs(self, estimate: Estimate, footage: Footage, chosen: Bool[Array, "vertices"]) -> list[Silhouette]:
+        """The silhouettes of all frames at an estimate on the masks' outlines; `chosen` vertices alone."""
         points, camera, faces = estimate.skin(), estimate.camera(footage), estimate.person.body.faces
         found = []
         for frame, contour in zip(posed_frames(estimate), self.contours):
@@ -62,7 +51,7 @@ class Outlines:
             if self.standoff is not None:
                 pixels = camera.K[0, 0] / np.maximum(-x[rim.vertices, 2], 1e-3)
                 good &= length < SLACK * pixels * self.standoff[rim.vertices]
-            found.append(Pairs(rim.vertices[good], contour.at[index[good]], contour.normals[index[good]]))
+            found.append(Silhouette(rim.vertices[good], contour.at[index[good]], contour.normals[index[good]]))
         return found
 
     def fit(
@@ -75,7 +64,7 @@ class Outlines:
             estimate = solve(estimate, footage, priors, cuts=(cut,), rounds=rounds, terms=(term,))
         return estimate
 
-    def term(self, pairs: list[Pairs], weight: float):
+    def term(self, pairs: list[Silhouette], weight: float):
         """The term for given pairs."""
         sigma = SIGMA * self.scale
 

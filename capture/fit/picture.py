@@ -61,29 +61,25 @@ def fit_pose(
     The world is the camera's, +y up, the person at its origin.
     """
     footage = footage_of(keypoints, mask[None], body_names(), MOVING, focal=focal, focal_sigma=1e-4)
-    guess = _facing(unplaced(known_person(template), np.zeros(0), footage), footage)
-    footage = _less_sure(footage, float(-guess.root[0, 2]))
+    trunk = np.array([any(part in name for part in TRUNK) for name in footage.names])
+    turns = turns_about_y(10, (-30, -15, 0, 15, 30))
+    guess, _ = placed_rigidly(unplaced(known_person(template), np.zeros(0), footage), footage, 0, turns,
+                              (footage.sure > 0) & trunk, slack=SLACK)  # fmt: skip
+    # the points' bias, seen from that far off, is among their uncertainty
+    bias = footage.focal / -guess.root[0, 2] * bias_of(footage.names)
+    sigma = 1 / np.maximum(footage.sure, 1e-12)
+    footage = replace(footage, sure=np.where(footage.sure > 0, 1 / np.hypot(sigma, bias), 0.0))
     priors = anyhow(footage, SHARE)
     tried = [_from(guess, footage, priors, *start) for start in product(ARMS, LEGS)]
     best = min(tried, key=lambda estimate: assemble(estimate, footage, priors, CUTS[-1], ())[1])
-    estimate = _outlined(best, footage, priors)
+    person = with_thickness(best.person)
+    nothing = np.zeros(len(person.sigma))
+    priors = replace(priors, g=nothing, g_sigma=person.sigma, stature=ANY_HEIGHT)
+    estimate = Outlines(footage).fit(replace(best, person=person, g=nothing), footage, priors, ~hand_vertices(person),
+                                     WEIGHTS, cut=CUTS[-1], rounds=4)  # fmt: skip
     video = posed_video(estimate, footage, np.ones(1, bool), level=False)
     assert video.axis_angle is not None and video.root is not None
     return video.cameras[0], video.axis_angle[0], video.root[0]
-
-
-def _facing(estimate: Estimate, footage: Footage) -> Estimate:
-    """Heading and place, from trunk and head."""
-    trunk = np.array([any(part in name for part in TRUNK) for name in footage.names])
-    return placed_rigidly(estimate, footage, 0, turns_about_y(10, (-30, -15, 0, 15, 30)), (footage.sure > 0) & trunk,
-                          slack=SLACK)[0]  # fmt: skip
-
-
-def _less_sure(footage: Footage, depth: float) -> Footage:
-    """The footage with the points' bias, seen from `depth` metres, among their uncertainty."""
-    bias = footage.focal / depth * bias_of(footage.names)
-    sigma = 1 / np.maximum(footage.sure, 1e-12)
-    return replace(footage, sure=np.where(footage.sure > 0, 1 / np.hypot(sigma, bias), 0.0))
 
 
 def anyhow(footage: Footage, share: float) -> Priors:
@@ -103,15 +99,6 @@ def _from(guess: Estimate, footage: Footage, priors: Priors, arms: tuple[int, in
         angles[JOINTS.index(f"{side}_hip"), 0] = angles[JOINTS.index(f"{side}_knee"), 0] = np.radians(hip)
     estimate = replace(guess, mean=angles, angles=angles[None])
     return solve(estimate, footage, priors, cuts=CUTS, rounds=12)
-
-
-def _outlined(estimate: Estimate, footage: Footage, priors: Priors) -> Estimate:
-    """The fit to outline and keypoints."""
-    person = with_thickness(estimate.person)
-    nothing = np.zeros(len(person.sigma))
-    estimate = replace(estimate, person=person, g=nothing)
-    priors = replace(priors, g=nothing, g_sigma=person.sigma, stature=ANY_HEIGHT)
-    return Outlines(footage).fit(estimate, footage, priors, ~hand_vertices(person), WEIGHTS, cut=CUTS[-1], rounds=4)
 
 
 def with_thickness(person: Person) -> Person:

@@ -7,10 +7,18 @@ each pixel; pixels that differ for another reason lose their weight (Geman and M
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Num
 from numpy import ndarray as Array
+from scipy import ndimage
 
 from geometry.least_squares import robust_cost, robust_weight
+
+
+def bilinear(image: Num[Array, "height width c"], pixels: Float[Array, "n 2"]) -> Float[Array, "n c"]:
+    """What a picture shows at places between its pixels."""
+    place = (pixels[:, ::-1] - 0.5).T
+    channels = np.moveaxis(image, 2, 0)
+    return np.stack([ndimage.map_coordinates(one, place, order=1, mode="nearest") for one in channels], 1)
 
 
 class PixelEquations(NamedTuple):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.kinematics import second_turns
@@ -109,7 +109,10 @@ def add_priors(equations: NormalEquations, estimate: Estimate, footage: Footage,
     equations.border[:, rows, shared.mean.start + at] -= 1 / own**2
     equations.shared[shared.mean.start + at, shared.mean.start + at] += len(away) / own**2
     equations.b_shared[shared.mean] += (away / own**2).sum(0)
-    cost += _add_limits(equations, estimate, moving, rows)
+    # angles beyond a joint's range are pulled back
+    table, angles = limits(), estimate.angles[:, moving]
+    beyond = (angles - np.clip(angles, table.low[moving], table.high[moving])).reshape(len(angles), -1)
+    cost += equations.hold(rows, beyond, np.where(beyond != 0, 1 / np.radians(BEYOND) ** 2, 0.0))
     return cost + _add_smoothness(equations, estimate, footage, priors)
 
 
@@ -135,18 +138,6 @@ def _add_shared(
     H[shared.g, shared.g] += np.outer(row, row) / priors.stature**2
     b[shared.g] -= row * away / priors.stature**2
     return cost + float((away / priors.stature) ** 2)
-
-
-def _add_limits(
-    equations: NormalEquations, estimate: Estimate, moving: Int[Array, "m"], rows: Int[Array, "k"]
-) -> float:
-    """Angles beyond a joint's range are pulled back."""
-    table = limits()
-    angles = estimate.angles[:, moving]
-    beyond = angles - np.clip(angles, table.low[moving], table.high[moving])
-    beyond = beyond.reshape(len(angles), -1)
-    # held one by one: only those beyond
-    return equations.hold(rows, beyond, np.where(beyond != 0, 1 / np.radians(BEYOND) ** 2, 0.0))
 
 
 def _add_smoothness(equations: NormalEquations, estimate: Estimate, footage: Footage, priors: Priors) -> float:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,7 +18,7 @@ from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.person import Person, person_of
 from capture.fit.points import body_points
 from capture.fit.refusals import check_fit, check_footage, check_upright
-from capture.fit.stored import fingerprint, read_estimate, read_focal, write_estimate, write_focal
+from capture.fit.stored import FIELDS, estimate_fields, estimate_of, fingerprint, read_step, write_step
 from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
 from capture.read.template import TemplateMesh
 from command.errors import AssetError
@@ -101,24 +102,27 @@ class _Fit:
 
     def __init__(self, work: Path | None):
         self.work, self.done = work, 0
-        self.progress = Progress("fitting", sum(STEPS.values()))
-        self.before = ""
+        self.progress, self.before = Progress("fitting", sum(STEPS.values())), ""
         if work is not None:
             work.mkdir(parents=True, exist_ok=True)
 
     def step(self, part: str, person: Person, g: Array, footage: Footage, fit: Callable[..., Estimate]) -> Estimate:
         """The part's estimate: `fit` from coefficients `g`, or what was stored of the same inputs."""
-        inputs = fingerprint(footage, self.before, person.body.name, person.stature)
-        path = None if self.work is None else self.work / f"{part}.npz"
-        estimate = None if path is None else read_estimate(path, person, inputs)
-        end = self.done + STEPS[part]
-        if estimate is None:
-            estimate = fit(person, g, lambda note: self.report(f"{part}: {note}"))
-            if path is not None:
-                write_estimate(path, estimate, inputs)
-        self.before, self.done = inputs, end
-        self.progress.update(self.done, part)
-        return estimate
+        self.before = fingerprint(footage, self.before, person.body.name, person.stature)
+        make = lambda: estimate_fields(fit(person, g, lambda note: self.report(f"{part}: {note}")))
+        return estimate_of(self.fields(part, FIELDS, self.before, make), person)
+
+    def fields(self, name: str, wanted: tuple[str, ...], inputs: str, make: Callable[[], dict]) -> dict[str, Any]:
+        """What a step found: as it was stored of the same inputs, or made, and then stored."""
+        path = None if self.work is None else self.work / f"{name}.npz"
+        end = self.done + STEPS[name]
+        fields = read_step(path, wanted, inputs)
+        if fields is None:
+            fields = make()
+            write_step(path, fields, inputs)
+        self.done = end
+        self.progress.update(end, name)
+        return fields
 
     def close_up(self, part: str, estimate: Estimate, footage: Footage) -> tuple[Estimate, FittedVideo]:
         """Head or hand, after what was found before.
@@ -140,15 +144,9 @@ class _Fit:
     def focal(self, person: Person, footages: Mapping[str, Footage]) -> Focal:
         """The focal length of all videos."""
         inputs = fingerprint(footages["body"], *map(fingerprint, footages.values()), person.body.name, person.stature)
-        path = None if self.work is None else self.work / "focal.npz"
-        found = None if path is None else read_focal(path, inputs)
-        if found is None:
-            found = focal_of_videos(person, footages, lambda note: self.report(f"focal length: {note}"))
-            if path is not None:
-                write_focal(path, found, inputs)
-        self.done = STEPS["focal"]
-        self.progress.update(self.done, "focal length")
-        return found
+        make = lambda: vars(focal_of_videos(person, footages, lambda note: self.report(f"focal length: {note}")))
+        found = self.fields("focal", ("shorter_sides", "sigma"), inputs, make)
+        return Focal(float(found["shorter_sides"]), float(found["sigma"]))
 
     def report(self, note: str) -> None:
         self.done += 1

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from numpy import ndarray as Array
 
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
@@ -51,7 +51,10 @@ def sides_restored(estimate: Estimate, footage: Footage) -> Footage:
     pixels, sure = footage.pixels.copy(), footage.sure.copy()
     for f, frames in enumerate(zip(posed_frames(estimate), posed_frames(between_neighbours(estimate)))):
         misfits = [
-            [_misfit(at, footage.pixels[f, order], footage.sure[f, order]) for order in (np.arange(len(other)), other)]
+            [
+                np.minimum(((at - footage.pixels[f, order]) ** 2).sum(1) * footage.sure[f, order] ** 2, FAR**2)
+                for order in (np.arange(len(other)), other)
+            ]
             for at in (projected(estimate, footage, frame) for frame in frames)
         ]
         for group in GROUPS:
@@ -71,9 +74,3 @@ def between_neighbours(estimate: Estimate) -> Estimate:
     turn = axis_angle_from_matrix(np.swapaxes(estimate.heading[:-2], 1, 2) @ estimate.heading[2:])
     heading[1:-1] = estimate.heading[:-2] @ matrix_from_axis_angle(turn / 2)
     return replace(estimate, root=root, heading=heading, angles=angles)
-
-
-def _misfit(
-    at: Float[Array, "points 2"], pixels: Float[Array, "points 2"], sure: Float[Array, "points"]
-) -> Float[Array, "points"]:
-    return np.minimum(((at - pixels) ** 2).sum(1) * sure**2, FAR**2)

@@ -2,11 +2,11 @@
 
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy import ndarray as Array
 
-from capture.fit.focal import Focal
 from capture.fit.footage import Estimate, Footage
 from capture.fit.person import Person
 from files.npz import read_npz
@@ -15,7 +15,7 @@ from files.whole import whole_file
 ARRAYS = ("g", "bias", "mean", "root", "heading", "angles")
 # raised whenever a step of the fit would answer otherwise: what an older one found is then not gone on from
 METHOD = 3
-FIELDS = (*ARRAYS, "offsets", "log_focal", "inputs")
+FIELDS = (*ARRAYS, "offsets", "log_focal")
 
 
 def fingerprint(footage: Footage, *numbers: Array | float | str) -> str:
@@ -26,34 +26,26 @@ def fingerprint(footage: Footage, *numbers: Array | float | str) -> str:
     return digest.hexdigest()
 
 
-def write_estimate(path: Path, estimate: Estimate, inputs: str) -> None:
-    """Keep a finished step."""
-    fields = {name: getattr(estimate, name) for name in ARRAYS}
-    with whole_file(path) as file:
-        np.savez(file, offsets=estimate.person.offsets, log_focal=estimate.log_focal, inputs=inputs, **fields)
+def estimate_fields(estimate: Estimate) -> dict[str, Any]:
+    """What is kept of an estimate."""
+    kept = {name: getattr(estimate, name) for name in (*ARRAYS, "log_focal")}
+    return kept | {"offsets": estimate.person.offsets}
 
 
-def read_estimate(path: Path, person: Person, inputs: str) -> Estimate | None:
-    """The finished step, if it is there and was made from the same."""
-    fields = _stored(path, FIELDS, inputs)
-    if fields is None:
-        return None
+def estimate_of(fields: dict[str, Array], person: Person) -> Estimate:
+    """The estimate that was kept."""
     arrays = {name: fields[name] for name in ARRAYS}
     return Estimate(person.with_offsets(fields["offsets"]), log_focal=float(fields["log_focal"]), **arrays)
 
 
-def write_focal(path: Path, focal: Focal, inputs: str) -> None:
-    """Keep the focal length found from all videos."""
-    with whole_file(path) as file:
-        np.savez(file, shorter_sides=focal.shorter_sides, sigma=focal.sigma, inputs=inputs)
+def write_step(path: Path | None, fields: dict[str, Any], inputs: str) -> None:
+    """Keep a finished step's fields; None: nowhere."""
+    if path is not None:
+        with whole_file(path) as file:
+            np.savez(file, inputs=inputs, **fields)
 
 
-def read_focal(path: Path, inputs: str) -> Focal | None:
-    """The focal length, if it was found and from the same."""
-    fields = _stored(path, ("shorter_sides", "sigma", "inputs"), inputs)
-    return None if fields is None else Focal(float(fields["shorter_sides"]), float(fields["sigma"]))
-
-
-def _stored(path: Path, names: tuple[str, ...], inputs: str) -> dict[str, Array] | None:
-    fields = read_npz(path, "a step of a fit", names) if path.is_file() else None
+def read_step(path: Path | None, names: tuple[str, ...], inputs: str) -> dict[str, Array] | None:
+    """The fields of a finished step, if it is there and was made from the same."""
+    fields = read_npz(path, "a step of a fit", (*names, "inputs")) if path is not None and path.is_file() else None
     return fields if fields and str(fields["inputs"]) == inputs else None

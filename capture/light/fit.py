@@ -91,7 +91,9 @@ def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:
     CLEAR. Two lamps on opposite sides explain much where one explains nothing. Where neither does, and where fewer
     than LEAST pixels can be read, no light is found.
     """
-    few = pixels.chosen(_few_of_each(pixels.video))
+    rng = np.random.default_rng(17)
+    each = [rng.permutation(np.flatnonzero(pixels.video == index))[:FEW] for index in range(len(PARTS))]
+    few = pixels.chosen(np.sort(np.concatenate(each)))
     together = np.zeros(len(PARTS), np.int64)
     if len(few.face) < LEAST:
         return LightFit({}, np.nan, np.nan, len(few.face))
@@ -125,12 +127,6 @@ def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:
     lights = [_light_of(one, gamma, frame).scaled(1 / scale) for one in best.lights]
     per_part = {part: lights[groups[index]] for index, part in enumerate(PARTS)}
     return LightFit(per_part, 255 * unlit, 255 * left, len(pixels.face))
-
-
-def _few_of_each(video: Int[Array, "n"]) -> Int[Array, "m"]:
-    rng = np.random.default_rng(17)
-    each = [np.flatnonzero(video == index) for index in range(len(PARTS))]
-    return np.sort(np.concatenate([rng.permutation(rows)[:FEW] for rows in each]))
 
 
 @dataclass(frozen=True)

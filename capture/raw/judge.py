@@ -35,6 +35,7 @@ LIMBS = {
     "hand_left": hand_points("left"),
     "hand_right": hand_points("right"),
 }  # fmt: skip
+OTHER_HAND = "is it the other hand's, or mirrored, as by a front camera? exchange LEFT and RIGHT, or mirror it"
 CALLED = {"body": "the body", "head": "the head", "hand_left": "the left hand", "hand_right": "the right hand"}
 
 
@@ -136,10 +137,11 @@ def judge(at: Glance) -> Judged:
         add(True, turn, "turn the video upright and detect keypoints again")
         return Judged(at, empty, found, tuple(problems))
     if clear.sum() < 0.2 * found.sum() or clear.sum() < 8:
-        other = _other_hand(at, clear)
         advice = "film again with it in the middle"
-        if other:
-            advice = "is it the other hand's, or mirrored, as by a front camera? exchange LEFT and RIGHT, or mirror it"
+        if part.startswith("hand"):
+            other = at.keypoints.confidence[:, _columns(at, hand_points(SIDES[part.endswith("left")]))] > SURE
+            if (other.sum(1) >= 3).sum() > 2 * clear.sum() + 8:
+                advice = OTHER_HAND
         add(True, f"{CALLED[part]} is confidently found in {int(clear.sum())} of {int(found.sum())} frames", advice)
     others = at.keypoints.others
     several = np.zeros(len(at.times), bool) if others is None else others > 0.3
@@ -163,10 +165,8 @@ def judge(at: Glance) -> Judged:
     else:
         on = _on_changed(at, empty)
         if on is not None and on < ON_PERSON:
-            add(
-                True, f"only {on:.0%} of the keypoints lie where the picture differs from the empty room",
-                "are these keypoints of this video, frame by frame?",
-            )  # fmt: skip
+            what = f"only {on:.0%} of the keypoints lie where the picture differs from the empty room"
+            add(True, what, "are these keypoints of this video, frame by frame?")
     blurred = whole & (at.sharpness < BLURRED * np.median(at.sharpness[whole])) if whole.any() else whole
     if blurred.sum() > 0.3 * whole.sum():
         add(False, f"{blurred.sum() / whole.sum():.0%} of the frames are blurred", "turn slower, or with more light")
@@ -263,14 +263,6 @@ def _turn(at: Glance) -> str | None:
     return "the person stands on the head" if down > 0 else None
 
 
-def _other_hand(at: Glance, whole: Bool[Array, "frames"]) -> bool:
-    """Whether a hand's video shows the other hand."""
-    if not at.part.startswith("hand"):
-        return False
-    sure = at.keypoints.confidence[:, _columns(at, hand_points(SIDES[at.part.endswith("left")]))] > SURE
-    return bool((sure.sum(1) >= 3).sum() > 2 * whole.sum() + 8)
-
-
 def _cut_off(at: Glance, own: Bool[Array, "frames points"]) -> Bool[Array, "frames"]:
     """Frames in which a sure point of the part lies at the picture's border or beyond it, or where most points are lost
     after they came near it."""
@@ -332,8 +324,5 @@ def _when(at: Glance, frames: Bool[Array, "frames"]) -> str:
 
 def refusal(judged: Mapping[str, Judged]) -> str | None:
     """The first reason, as one line, why videos cannot be fitted; None: they can."""
-    for at in judged.values():
-        for problem in at.problems:
-            if problem.fatal:
-                return problem.line(str(at.glance.video.path))
-    return None
+    fatal = [(at, problem) for at in judged.values() for problem in at.problems if problem.fatal]
+    return fatal[0][1].line(str(fatal[0][0].glance.video.path)) if fatal else None

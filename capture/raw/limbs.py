@@ -1,7 +1,7 @@
 """Where keypoints say that the person is: thin lines that surely are, and a wide hull that holds all of it."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from numpy import ndarray as Array
 from scipy import ndimage
 
@@ -12,6 +12,7 @@ from capture.raw.glance import SURE
 HULL, HEAD_HULL, CORE, FINGER_CORE = 0.42, 0.75, 0.05, 0.006
 # pixels of the pictures that lines are drawn in
 DRAWN = 240
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
 
 def limbs() -> list[tuple[str, str]]:
@@ -21,14 +22,13 @@ def limbs() -> list[tuple[str, str]]:
         chain = [f"{side}_{name}" for name in ("shoulder", "elbow", "wrist")]
         leg = [f"{side}_{name}" for name in ("shoulder", "hip", "knee", "ankle", "big_toe")]
         out += [*zip(chain, chain[1:]), *zip(leg, leg[1:]), (f"{side}_shoulder", "nose")]
-        for finger in ("thumb", "index", "middle", "ring", "pinky"):
+        for finger in FINGERS:
             knuckles = [f"{side}_hand", *(f"{side}_{finger}{n}" for n in (1, 2, 3, "_tip"))]
             out += zip(knuckles, knuckles[1:])
     return out
 
 
 LIMBS = limbs()
-FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
 
 def trunk_length(keypoints: Keypoints, frame: int, size: tuple[int, int]) -> float:
@@ -67,14 +67,11 @@ def _within(keypoints: Keypoints, frame: int, shape: tuple[int, int], reach) -> 
         if min(p[2], q[2]) <= SURE:
             continue
         p, q = scale * p[:2], scale * q[:2]
-        out |= _distance_to_line(x, y, p, q) < max(reach(a), reach(b)) * trunk + 0.5
+        along = q - p
+        t = np.clip(((x - p[0]) * along[0] + (y - p[1]) * along[1]) / max(along @ along, 1e-9), 0, 1)
+        away = np.hypot(x - p[0] - t * along[0], y - p[1] - t * along[1])
+        out |= away < max(reach(a), reach(b)) * trunk + 0.5
     if not out.any():
         return np.full(shape, reach("left_knee") == HULL)
     zoomed = ndimage.zoom(out.astype(np.float32), (shape[0] / small[0], shape[1] / small[1]), order=1)
     return np.asarray(zoomed > 0.5)
-
-
-def _distance_to_line(x: Array, y: Array, p: Float[Array, "2"], q: Float[Array, "2"]) -> Array:
-    along = q - p
-    t = np.clip(((x - p[0]) * along[0] + (y - p[1]) * along[1]) / max(along @ along, 1e-9), 0, 1)
-    return np.hypot(x - p[0] - t * along[0], y - p[1] - t * along[1])

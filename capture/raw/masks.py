@@ -48,7 +48,9 @@ def soft_mask(
     core = lines(keypoints, frame, image.shape[:2])
     gain = _gain(image, plate, keypoints, frame)
     room = plate.color * gain
-    floor = _floor(keypoints, frame, image.shape[0])
+    # the row from which on the floor may show the person's shadow: the higher knee's; none where no knee is seen
+    knees = [keypoints.seen(f"{side}_knee")[frame] for side in SIDES]
+    floor = int(max(0.0, min((y for _, y, sure in knees if sure > SURE), default=image.shape[0])))
     person = _differs(image, plate, gain, floor)
     if not plate.known.all():
         may = hull(keypoints, frame, image.shape[:2])
@@ -58,19 +60,13 @@ def soft_mask(
     share = _walked(image, person, core, plate.known)
     inside = _whole(share > 0.5, keypoints, frame)
     rim = max(3.0, RIM * min(image.shape[:2]) / 1080)
-    window = _window(inside, round(8 * rim))
     out = np.zeros(inside.shape, np.uint8)
-    out[window] = _rim(image[window], room[window], plate.known[window], inside[window], rim, APART * plate.noise)
+    # the person and some pixels round it
+    for rows, columns in ndimage.find_objects(inside.astype(int)):
+        margin = round(8 * rim)
+        window = tuple(slice(max(0, s.start - margin), s.stop + margin) for s in (rows, columns))
+        out[window] = _rim(image[window], room[window], plate.known[window], inside[window], rim, APART * plate.noise)
     return out
-
-
-def _window(area: Bool[Array, "height width"], margin: int) -> tuple[slice, slice]:
-    """Rows and columns that hold an area and some pixels round it."""
-    rows, columns = (np.flatnonzero(area.any(axis)) for axis in (1, 0))
-    if not len(rows):
-        return slice(0, 1), slice(0, 1)
-    cut = lambda at, most: slice(max(0, int(at[0]) - margin), min(most, int(at[-1]) + 1 + margin))
-    return cut(rows, area.shape[0]), cut(columns, area.shape[1])
 
 
 def _gain(image: Float[Array, "height width 3"], plate: Plate, keypoints: Keypoints, frame: int) -> Float[Array, "3"]:
@@ -93,12 +89,6 @@ def _gain(image: Float[Array, "height width 3"], plate: Plate, keypoints: Keypoi
         near = (np.abs(ratio - middle) < width).all(1)
         middle = np.median(ratio[near], axis=0) if near.sum() > 50 else middle
     return middle.astype(np.float32)
-
-
-def _floor(keypoints: Keypoints, frame: int, height: int) -> int:
-    """The row from which on the floor may show the person's shadow: the higher knee's; none where no knee is seen."""
-    knees = [keypoints.seen(f"{side}_knee")[frame] for side in SIDES]
-    return int(max(0.0, min((y for _, y, sure in knees if sure > SURE), default=height)))
 
 
 def _differs(
@@ -166,11 +156,9 @@ def _walked(
     labels = np.where(surely, 1, np.where(beside, 2, 0))
     if not surely.any() or not beside.any():
         return person
+    walked = (labels == 1).astype(float)
     if (labels == 0).any():
-        beta = CONTRAST / max(float(colors.std()) / 0.2, 1e-3)
-        walked = walk(colors, labels, beta)[0]
-    else:
-        walked = (labels == 1).astype(float)
+        walked = walk(colors, labels, CONTRAST / max(float(colors.std()) / 0.2, 1e-3))[0]
     zoom = (image.shape[0] / walked.shape[0], image.shape[1] / walked.shape[1])
     wide = np.clip(np.asarray(ndimage.zoom(walked.astype(np.float32), zoom, order=1)), 0, 1)
     # near the edge the full picture knows better, where it knows at all
@@ -185,9 +173,7 @@ def walk(
     """Probability of each seed's label, 1 and on, at every pixel; none where no seed reaches, and at labels -1."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return random_walker(
-            colors, labels, beta=beta, mode="cg_j", tol=1e-3, return_full_prob=True, channel_axis=-1
-        )  # fmt: skip
+        return random_walker(colors, labels, beta=beta, mode="cg_j", tol=1e-3, return_full_prob=True, channel_axis=-1)
 
 
 def _whole(inside: Bool[Array, "height width"], keypoints: Keypoints, frame: int) -> Bool[Array, "height width"]:

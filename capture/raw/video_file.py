@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
 from numpy import ndarray as Array
 
 from command.errors import AssetError
@@ -120,10 +119,3 @@ def read_frames(
                 yield VideoFrame(number, time, np.ascontiguousarray(np.rot90(picture, video.quarter_turns)))
     except (FFmpegError, ValueError, OSError) as error:
         raise AssetError(f"{video.path}: breaks off: {getattr(error, 'strerror', None) or error}") from None
-
-
-def saved(picture: UInt8[Array, "height width 3"], path: Path) -> None:
-    """Write one frame as PNG; the folder it is in is finished or thrown away as a whole."""
-    from PIL import Image
-
-    Image.fromarray(picture).save(path, compress_level=1)

@@ -6,15 +6,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
-from PIL import Image
 
 from avatar.camera import Camera, project
 from avatar.skeleton import JOINTS, PARTS
+from capture.frame_files import write_picture
 from capture.raw.scan import FittedScan, FittedVideo, RawVideo
 from capture.read.close_up import PartMasks
 from capture.read.template import TemplateMesh
 from command.errors import AssetError
-from files.whole import whole_file
 from geometry.rasterise import rasterise
 
 # metres beside the part that are cut out with it: hair, fingers that are bent otherwise
@@ -36,45 +35,37 @@ def cut_close_up(part: str, body: RawVideo, fitted: FittedScan, work: Path) -> t
     frames, boxes = [], []
     for i in np.flatnonzero(fit.usable & fitted.videos["body"].usable).tolist():
         posed, camera = place.placed(fit, i), fit.cameras[i]
-        box = _box(posed[own], camera, BESIDE[part] * place.unit)
+        # the pixels round the part, and some beside it: left and top, right and bottom
+        pixels, depth = project(camera, posed[own])
+        room = np.ceil(BESIDE[part] * place.unit * camera.K[0, 0] / np.median(depth))
+        box = np.stack([np.floor(pixels.min(0)) - room, np.ceil(pixels.max(0)) + room]).astype(int)
         # hands are as the body's video holds them: the whole person is posed
         if part == "head" or _covered(posed, template, part, camera, box) < COVERED:
             frames.append(i)
             boxes.append(box)
     if len(frames) < LEAST:
         raise AssetError(f"body video: shows the {part} alone in {len(frames)} frames, expected {LEAST}: film it too")
-    low, size = _windows(np.array(boxes), body.size)
+    # windows of one size that hold the boxes, inside of the picture
+    box = np.array(boxes)
+    width, height = (int(n) for n in np.minimum((box[:, 1] - box[:, 0]).max(0), body.size))
+    size = width, height
+    low = np.clip((box.sum(1) - size) // 2, 0, np.array(body.size) - size)
     for name in ("images", "masks"):
         (work / name).mkdir(parents=True, exist_ok=True)
     cameras, masks, paths = [], [], []
     for n, i in enumerate(frames):
-        (left, top), (width, height) = low[n].tolist(), size
+        left, top = low[n].tolist()
         window = np.s_[top : top + height, left : left + width]
         masks.append(body.masks[i][window])
         paths.append(work / "images" / f"{n:06d}.png")
-        for path, picture in ((paths[-1], body.picture(i)[window]), (work / "masks" / f"{n:06d}.png", masks[-1])):
-            with whole_file(path) as file:
-                Image.fromarray(picture).save(file, format="PNG", compress_level=1)
+        write_picture(paths[-1], body.picture(i)[window])
+        write_picture(work / "masks" / f"{n:06d}.png", masks[-1])
         cameras.append(fit.cameras[i].cropped(left, top, size))
     points = body.keypoints.of_frames(np.array(frames))
     points = replace(points, pixels=points.pixels - low[:, None], size=size)
     raw = RawVideo(part, size, body.rate, body.frames[frames], tuple(paths), np.stack(masks), points, None)
     angles, root = (None if values is None else values[frames] for values in (fit.axis_angle, fit.root))
     return raw, FittedVideo(tuple(cameras), angles, root, np.ones(len(frames), bool))
-
-
-def _windows(boxes: Array, size: tuple[int, int]) -> tuple[Array, tuple[int, int]]:
-    """Left and top corners of windows of one size that hold the boxes, inside of the picture."""
-    width, height = (int(n) for n in np.minimum((boxes[:, 1] - boxes[:, 0]).max(0), size))
-    low = np.clip((boxes.sum(1) - [width, height]) // 2, 0, np.array(size) - [width, height])
-    return low, (width, height)
-
-
-def _box(points: Float[Array, "n 3"], camera: Camera, beside: float) -> Array:
-    """The pixels round points, and `beside` round them, in the points' unit: left and top, right and bottom."""
-    pixels, depth = project(camera, points)
-    room = np.ceil(beside * camera.K[0, 0] / np.median(depth))
-    return np.stack([np.floor(pixels.min(0)) - room, np.ceil(pixels.max(0)) + room]).astype(int)
 
 
 def _covered(posed: Float[Array, "vertices 3"], template: TemplateMesh, part: str, camera: Camera, box: Array) -> float:

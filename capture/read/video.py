@@ -10,19 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from avatar.skeleton import PARTS
-from capture.frame_files import sized_picture
+from capture.frame_files import sized_picture, write_picture
 from capture.keypoints.record import Keypoints
 from capture.raw.four_videos import NAMES, judge_videos, part_keypoints
 from capture.raw.glance import Glance
 from capture.raw.judge import Judged, refusal
 from capture.raw.masks import soft_mask
 from capture.raw.plate import plate_of_empty, plate_of_free
-from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
+from capture.raw.scan import FittedScan, RawScan, RawVideo
 from capture.raw.selection import KeptFrames, select
-from capture.raw.video_file import open_video, read_frames, saved
+from capture.raw.video_file import open_video, read_frames
 from capture.read.close_up import PartMasks
 from capture.read.folder import SourceVideo, pictures_in, write_capture
 from capture.read.from_body import cut_close_up
@@ -110,7 +109,7 @@ def _prepared(given: VideoImport, judged: Judged, chosen: KeptFrames, work: Path
     if not (work / "images.done").exists():
         wanted = frozenset(int(number) for number in chosen.frames)
         for i, frame in enumerate(read_frames(at.video, only=wanted)):
-            saved(frame.picture, pictures[i])
+            write_picture(pictures[i], frame.picture)
         (work / "images.done").touch()
     keypoints = at.keypoints.of_frames(chosen.frames)
     paths = [masks / f"{i:06d}.png" for i in range(len(chosen.frames))]
@@ -138,9 +137,7 @@ def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths
         plate = plate_of_free([read_picture(pictures[i]) for i in spread], keypoints.of_frames(spread))
     report = Progress("masks", len(paths))
     for i in missing:
-        mask = soft_mask(read_picture(pictures[i]), plate, keypoints, i)
-        with whole_file(paths[i]) as file:
-            Image.fromarray(mask).save(file, format="PNG", compress_level=1)
+        write_picture(paths[i], soft_mask(read_picture(pictures[i]), plate, keypoints, i))
         report.update(i + 1, at.part)
 
 
@@ -158,16 +155,7 @@ def _given_masks(folder: Path, at: Glance, chosen: KeptFrames, paths: list[Path]
             mask = 255 * mask
         if not mask.any():
             raise AssetError(f"{files[number]}: mask shows no person in frame {number} of {at.video.name}")
-        with whole_file(path) as file:
-            Image.fromarray(mask).save(file, format="PNG", compress_level=1)
-
-
-def _only_the_part(close_up: PartMasks, fit: FittedVideo, work: Path) -> None:
-    """Masks of a close-up without the rest of the person, beside those that the fit was given."""
-    (work / "own_masks").mkdir(exist_ok=True)
-    for i, camera in enumerate(fit.cameras):
-        mask = read_picture(work / "masks" / f"{i:06d}.png", "L")
-        Image.fromarray(close_up.mask(mask, camera, fit, i)).save(work / "own_masks" / f"{i:06d}.png", compress_level=1)
+        write_picture(path, mask)
 
 
 def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: VideoImport, notes: list[str]) -> None:
@@ -185,15 +173,19 @@ def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: Vide
         numbers[part] = [int(n) for n in raw.frames[fit.usable]]
         kept = np.flatnonzero(fit.usable)
         if len(kept) < 4:
-            raise AssetError(
-                f"{film}: the person could be fitted in {len(kept)} of {len(raw.frames)} frames"
-            )
+            raise AssetError(f"{film}: the person could be fitted in {len(kept)} of {len(raw.frames)} frames")
+        masks = work / part / "masks"
         if part != "body":
-            _only_the_part(PartMasks(fitted.template, part, fitted.landmarks), fit, work / part)
+            # without the rest of the person, beside the masks that the fit was given
+            close_up, masks = PartMasks(fitted.template, part, fitted.landmarks), work / part / "own_masks"
+            masks.mkdir(exist_ok=True)
+            for i, camera in enumerate(fit.cameras):
+                mask = read_picture(work / part / "masks" / f"{i:06d}.png", "L")
+                write_picture(masks / f"{i:06d}.png", close_up.mask(mask, camera, fit, i))
         pick = lambda values: None if values is None else values[kept]
         videos[part] = SourceVideo(
             tuple(raw.pictures[i] for i in kept),
-            tuple(work / part / ("masks" if part == "body" else "own_masks") / f"{i:06d}.png" for i in kept),
+            tuple(masks / f"{i:06d}.png" for i in kept),
             any_value=False, soft=True, cameras=tuple(fit.cameras[i] for i in kept),
             axis_angle=pick(fit.axis_angle), root=pick(fit.root), place=str(film),
         )  # fmt: skip

@@ -21,6 +21,7 @@ from scipy import ndimage
 from avatar.camera import Camera, project
 from avatar.kinematics import pixel_rows
 from avatar.skeleton import PARTS
+from capture.fit.pixels import bilinear
 from capture.folder import CaptureSubject, PartVideo
 from capture.register.placement import PlaceEquations, refine
 from capture.template.hull import head_cameras
@@ -138,13 +139,9 @@ def _rows(
     inside = (depth > 0) & ((pixels >= 1) & (pixels < np.array([width - 1, height - 1]))).all(1) & mask[row, column]
     nearest = drawn.depth[np.minimum(row // 2, height // 2 - 1), np.minimum(column // 2, width // 2 - 1)]
     seen = np.flatnonzero(facing & inside & (depth < nearest + DEEP))
-    at = [pixels[seen, 1] - 0.5, pixels[seen, 0] - 0.5]
-    slopes = np.gradient(frame, axis=(0, 1))
-    sampled = [
-        np.stack([ndimage.map_coordinates(a[..., c], at, order=1, mode="nearest") for c in range(3)], 1)
-        for a in (frame, slopes[1], slopes[0])
-    ]
-    return _Seen(seen, sampled[0], np.stack(sampled[1:], -1), pixel_rows(camera, points[seen])[1])
+    down, across = np.gradient(frame, axis=(0, 1))
+    color, *slope = (bilinear(values, pixels[seen]) for values in (frame, across, down))
+    return _Seen(seen, color, np.stack(slope, -1), pixel_rows(camera, points[seen])[1])
 
 
 def _add_consistency(equations: PlaceEquations, rows: list[_Seen], points: Float[Array, "n 3"]) -> None:

@@ -53,13 +53,6 @@ class HeadHeight(NamedTuple):
     rows: int
 
 
-class _Row(NamedTuple):
-    """The template's outline in one frame."""
-
-    distance: Float[Array, "n"]  # pixels from the mask's edge; inside positive
-    slope: Float[Array, "n"]  # that distance's, pixels per metre of height
-
-
 def height_by_outline(
     subject: CaptureSubject, video: PartVideo, canonical_from_head: Float[Array, "4 4"], anchors: Anchors
 ) -> HeadHeight:
@@ -80,18 +73,18 @@ def height_by_outline(
     for _ in range(ROUNDS):
         placed = subject.vertices + [0.0, shift, 0.0]
         rows = [_outline(placed, subject.faces, normals, bare, *of) for of in zip(cameras, edges)]
-        r, slope = (np.concatenate(values) for values in zip(*rows))
-        count = len(r)
+        distance, slope = (np.concatenate(values) for values in zip(*rows))
+        count = len(distance)
         if count < FEWEST:
             raise ValueError(f"only {count} places of bare skin lie on the outlines of the head's video")
-        spread = max(1.4826 * float(np.median(np.abs(r - np.median(r)))), 0.05)
-        r = r - np.median(r)
+        r = distance - np.median(distance)
+        spread = max(1.4826 * float(np.median(np.abs(r))), 0.05)
         weight = robust_weight(r**2, 2 * spread)
         weight *= INDEPENDENT / weight.sum() / spread**2
         # c eliminated: both about their weighted means
         slope = slope - (weight * slope).sum() / weight.sum()
         step = -((weight * slope * r).sum() + known * shift) / ((weight * slope**2).sum() + known)
-        shift, thickness = shift + float(step), float(np.median(np.concatenate([row.distance for row in rows])))
+        shift, thickness = shift + float(step), float(np.median(distance))
         if abs(step) < 1e-5:
             break
     if abs(shift) > MOST:
@@ -111,8 +104,9 @@ def edge_distance(mask: Bool[Array, "h w"]) -> Float[Array, "h w"]:
 def _outline(
     placed: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], normals: Float[Array, "vertices 3"],
     bare: Bool[Array, "vertices"], camera: Camera, edge: Float[Array, "h w"],
-) -> _Row:  # fmt: skip
-    """Vertices of bare skin that the template's drawing has on its outline, and what the frame's mask says of them."""
+) -> tuple[Float[Array, "n"], Float[Array, "n"]]:  # fmt: skip
+    """For vertices of bare skin that the template's drawing has on its outline, pixels from the edge of the frame's
+    mask (inside positive), and how they change per metre of height."""
     width, height = camera.size
     drawn = rasterise(placed, faces, camera).face
     rim = (drawn >= 0) & ~np.asarray(ndimage.binary_erosion(drawn >= 0, border_value=1), bool)
@@ -129,4 +123,4 @@ def _outline(
     read = lambda y, x: ndimage.map_coordinates(edge, at + np.array([[y], [x]]), order=1)
     gradient = np.stack([read(0, BLUR) - read(0, -BLUR), read(BLUR, 0) - read(-BLUR, 0)], 1) / (2 * BLUR)
     slope = (gradient * pixel_rows(camera, placed[vertex])[1][:, :, 1]).sum(1)
-    return _Row(read(0, 0), slope)
+    return read(0, 0), slope

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
-from scipy import ndimage
 
 from avatar.camera import Camera, project
+from capture.fit.pixels import bilinear
 from capture.folder import CaptureSubject, PartVideo
 from capture.template.eyes import EyeSpheres, eye_covers, eye_spheres, face_forward, first_hits
 from capture.template.hull import head_cameras
@@ -82,11 +82,11 @@ def fit_iris(
     if spheres is None:
         return None
     forward = face_forward(subject)
-    views = [
-        (camera, image)
-        for camera, image in zip(head_cameras(video, canonical_from_head), video.images)
-        if _looks_at(camera, spheres.centres.mean(0), forward)
-    ]
+    views = []
+    for camera, image in zip(head_cameras(video, canonical_from_head), video.images):
+        away = camera.eye - spheres.centres.mean(0)
+        if away @ forward > IN_FRONT * np.linalg.norm(away):
+            views.append((camera, image))
     middles = subject.vertices[subject.faces].mean(1)
     sums = np.zeros((len(ANGLES), 2))
     for centre, radius, cover in zip(spheres.centres, spheres.radii, eye_covers(subject, spheres)):
@@ -104,12 +104,6 @@ def fit_iris(
         return IrisFit(None, residuals, 0.0)
     depth = float((spheres.radii * (1 - np.cos(ANGLES[best]))).mean())
     return IrisFit(FlatIris(forward, float(ANGLES[best])), residuals, depth)
-
-
-def _looks_at(camera: Camera, place: Float[Array, "3"], forward: Float[Array, "3"]) -> bool:
-    """Whether a camera sees the face from the front."""
-    away = camera.eye - place
-    return bool(away @ forward > IN_FRONT * np.linalg.norm(away))
 
 
 class EyeFront(NamedTuple):
@@ -165,6 +159,4 @@ def _shown(
     width, height = camera.size
     inside = (depth > 0) & ((pixels >= 1) & (pixels < np.array([width - 1, height - 1]))).all(1)
     hidden = first_hits(camera.eye, -back / length[:, None], corners) < length - THICK
-    at = [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5]
-    color = [ndimage.map_coordinates(image[..., c] / 255, at, order=1, mode="nearest") for c in range(3)]
-    return np.stack(color, 1), inside & ~hidden & (facing > FACING), facing
+    return bilinear(image / 255, pixels), inside & ~hidden & (facing > FACING), facing

@@ -10,7 +10,6 @@ the pixels. With S a similarity of the head, D(u; S) its drawing in a frame (cov
 Kanade 1981): moving what is drawn by m pixels changes it by -gradient . m.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +25,7 @@ from capture.fit.pixels import compare_pixels
 from capture.folder import CaptureSubject, PartVideo
 from capture.register.placement import PlaceEquations, refine
 from capture.videos import even
+from geometry.cells import nearest_marked
 from geometry.icp import Anchors
 from geometry.rasterise import rasterise
 
@@ -125,9 +125,7 @@ def _add_frame(
         return
     camera, image, mask = cropped
     width, height = camera.size
-    K = camera.K.copy()
-    K[:2] *= FINER
-    drawn = rasterise(posed, subject.faces, replace(camera, K=K, size=(FINER * width, FINER * height)))
+    drawn = rasterise(posed, subject.faces, camera.resized((FINER * width, FINER * height)))
     hit = drawn.face >= 0
     is_head = hit & scene.head[drawn.face]
     colors = np.where(is_head[..., None], scene.color[drawn.face], 0)
@@ -136,10 +134,9 @@ def _add_frame(
     if not is_head.any():
         return
     y, x = np.nonzero(near)
-    nearest = ndimage.distance_transform_edt(~hit, return_distances=False, return_indices=True)
-    assert isinstance(nearest, np.ndarray)
-    row, column = nearest[:, y * FINER + FINER // 2, x * FINER + FINER // 2]
-    face = drawn.face[row, column]
+    rows, columns = nearest_marked(hit)
+    finer = y * FINER + FINER // 2, x * FINER + FINER // 2
+    face = drawn.face[rows[finer], columns[finer]]
     keep = scene.head[face]
     y, x, face = y[keep], x[keep], face[keep]
     corners = subject.faces[face]
@@ -177,17 +174,13 @@ def _crop(
     by = max(1, int(np.ceil((high - low).max() / LARGEST)))
     low = np.maximum(np.floor(pixels.min(0)) - 3 * RIM * by, 0).astype(int)
     high = np.minimum(np.ceil(pixels.max(0)) + 3 * RIM * by, camera.size).astype(int)
-    size = (high - low) // by
-    if (size < 8).any():
+    (left, top), (width, height) = low.tolist(), ((high - low) // by).tolist()
+    if min(width, height) < 8:
         return None
-    high = low + by * size
-    K = camera.K.copy()
-    K[:2, 2] -= low
-    K[:2] /= by
-    window = np.s_[low[1] : high[1], low[0] : high[0]]
+    window = np.s_[top : top + by * height, left : left + by * width]
     image = _averaged(video.images[frame][window].astype(np.float64) / 255, by)
     mask = _averaged(video.masks[frame][window][..., None].astype(np.float64), by)[..., 0]
-    return replace(camera, K=K, size=(int(size[0]), int(size[1]))), image, mask
+    return camera.cropped(left, top, (by * width, by * height)).resized((width, height)), image, mask
 
 
 def _averaged(image: Array, by: int) -> Float[Array, "height width c"]:

@@ -22,17 +22,17 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy import ndimage, sparse
 
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, dense_weights, skin_points, strongest_four, unskin_points
 from capture.folder import CaptureSubject, PartVideo
-from capture.template.grid import DistanceGrid, closed_surface, distance_grid
-from capture.template.hull import SEEN_BY, MaskView, background_share, sure_background
+from capture.template.grid import DistanceGrid, closed_surface, distance_grid, trilinear
+from capture.template.hull import SEEN_BY, MaskView, background_share, large_pieces, sure_background
 from capture.template.surface import SurfaceCloud, surface_cloud, visible_faces
-from geometry.cells import distance_to, pieces
+from geometry.cells import distance_to
 from geometry.mesh import TriangleMesh, compact, neighbour_matrix
 
 CELL = 0.01  # metres, the template's distance
@@ -66,11 +66,6 @@ class Cloth(NamedTuple):
     depth: Float[Array, "x y z"]
     low: Float[Array, "3"]  # place of distance[0, 0, 0], metres
 
-    def at(self, values: Float[Array, "x y z"], points: Float[Array, "n 3"], outside: float) -> Float[Array, "n"]:
-        """One of its grids at points, trilinear; `outside` of the grid's box."""
-        places = ((points - self.low) / FINE).T
-        return ndimage.map_coordinates(values, places, order=1, mode="constant", cval=outside)
-
 
 def with_clothes(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
     """The subject with loose clothes joined to its template; the subject itself, bit by bit, where there are none.
@@ -97,10 +92,22 @@ def with_clothes(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
     # what of the cloth lies under the skin is no surface, and what of the skin lies in the cloth neither
     under = template.at(vertices[faces].mean(1)).astype(np.float64)
     mesh, _ = compact(vertices, faces[under > -0.003])
-    covered = cloth.at(cloth.distance, posed.vertices[subject.faces].mean(1), 1.0) < -0.25 * FINE
-    behind = [cloth.at(cloth.depth, posed.vertices, 0.0) > THICK, cloth.at(cloth.depth, mesh[0], 0.0) > 0.5 * THICK]
+    covered = trilinear(cloth.distance, cloth.low, FINE, posed.vertices[subject.faces].mean(1), 1.0) < -0.25 * FINE
+    depth = lambda points: trilinear(cloth.depth, cloth.low, FINE, points, 0.0)
+    behind = [depth(posed.vertices) > THICK, depth(mesh.vertices) > 0.5 * THICK]
     skin = cloth_weights(mesh, cloud)
-    joined = _joined(subject, subject.faces[~covered], mesh, skin, canonical_to_pose)
+    canonical, settled = unskin_points(mesh.vertices, skin, canonical_to_pose)
+    # what the big pose's blend takes to there; other bones' blend, it is not where pose 0 shows it
+    canonical_from_rest = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))
+    rest, fine = unskin_points(canonical, skin, canonical_from_rest)
+    if not (settled & fine).all():
+        raise ValueError(
+            f"in the pose that the body's video holds {(~(settled & fine)).mean():.0%} of them lie between bones that "
+            "point opposite ways; poses as filmed have no such place"
+        )
+    part = np.full(len(rest), PARTS.index("body"))
+    placed = TriangleMesh(canonical, mesh.faces)
+    joined = subject.joined(subject.faces[~covered], placed, rest, skin, part, hair=False)
     return replace(joined, behind_cloth=np.concatenate(behind))
 
 
@@ -129,13 +136,7 @@ def standing_off(views: Sequence[MaskView], template: DistanceGrid, cloud: Surfa
     held = np.zeros(distance.shape, bool)
     held[tuple(asked[cloud.part[row] == PARTS.index("body")].T)] = True
     held = np.asarray(ndimage.binary_opening(held, ndimage.generate_binary_structure(3, 1)), bool)
-    label = pieces(held)
-    loose = np.zeros_like(held)
-    for piece in range(1, int(label.max()) + 1):
-        own = label == piece
-        if own.sum() * template.cell**3 >= LEAST and distance[own].max() >= REACHES:
-            loose |= own
-    return loose
+    return large_pieces(held, template.cell, LEAST, distance >= REACHES)
 
 
 def carve(
@@ -198,10 +199,8 @@ def shell(cloth: Bool[Array, "x y z"], distance: Float[Array, "x y z"], low: Flo
     wall = np.minimum(depth - THICK, depth + distance - THICK - GAP)
     beside = (distance_to(cloth & (depth <= THICK)) - 2) * FINE
     out = np.maximum.reduce([-depth, wall, -distance - UNDER, beside])
-    label = pieces(out < 0)
-    large = np.bincount(label.ravel()) * FINE**3 > LEAST_SHELL
-    large[0] = False
-    keep = np.asarray(ndimage.binary_dilation(large[label], ndimage.generate_binary_structure(3, 3)), bool)
+    large = large_pieces(out < 0, FINE, LEAST_SHELL, out < 0)
+    keep = np.asarray(ndimage.binary_dilation(large, ndimage.generate_binary_structure(3, 3)), bool)
     touched = np.asarray(ndimage.binary_dilation(cloth, iterations=2), bool)
     return Cloth(np.where(keep, out, np.maximum(out, 0.5 * FINE)), np.where(touched, depth, 0), low)
 
@@ -225,24 +224,3 @@ def cloth_weights(mesh: TriangleMesh, cloud: SurfaceCloud) -> SkinWeights:
     out = np.zeros((count, nearest.shape[1]))
     out[:, bones] = np.where(weights > 0.01, weights, 0)
     return strongest_four(out)
-
-
-def _joined(
-    subject: CaptureSubject,
-    kept: Int[Array, "k 3"],
-    cloth: TriangleMesh,
-    skin: SkinWeights,
-    pose_from_canonical: Float[Array, "52 4 4"],
-) -> CaptureSubject:
-    """The subject with the `kept` of its own faces and a mesh of cloth, given in another pose, behind them."""
-    canonical, settled = unskin_points(cloth.vertices, skin, pose_from_canonical)
-    # what the big pose's blend takes to there; other bones' blend, it is not where pose 0 shows it
-    canonical_from_rest = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))
-    rest, fine = unskin_points(canonical, skin, canonical_from_rest)
-    if not (settled & fine).all():
-        raise ValueError(
-            f"in the pose that the body's video holds {(~(settled & fine)).mean():.0%} of them lie between bones that "
-            "point opposite ways; poses as filmed have no such place"
-        )
-    part = np.full(len(rest), PARTS.index("body"))
-    return subject.joined(kept, TriangleMesh(canonical, cloth.faces), rest, skin, part, hair=False)

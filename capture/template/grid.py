@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 from numpy import ndarray as Array
 from scipy import ndimage
 
@@ -35,6 +35,14 @@ class DistanceGrid(NamedTuple):
         return ndimage.map_coordinates(self.values, inside.T, order=1, mode="nearest") + away
 
 
+def trilinear(
+    values: Float[Array, "x y z"], low: Float[Array, "3"], cell: float, points: Float[Array, "n 3"], outside: float
+) -> Float[Array, "n"]:
+    """Values on a grid whose first node is at `low`, interpolated to points; `outside` of its box."""
+    places = ((points - low) / cell).T
+    return ndimage.map_coordinates(values, places, order=1, mode="constant", cval=outside)
+
+
 def distance_grid(
     cloud: SurfaceCloud,
     low: Float[Array, "3"],
@@ -50,11 +58,7 @@ def distance_grid(
     axes = [np.arange(low[i], high[i] + cell, cell) for i in range(3)]
     shape = (len(axes[0]), len(axes[1]), len(axes[2]))
     # exact within four cells of a sample; farther out the distance between cells is near enough
-    occupied = np.zeros(shape, bool)
-    index = np.round((cloud.points - low) / cell).astype(int)
-    index = index[((index >= 0) & (index < shape)).all(1)]
-    occupied[tuple(index.T)] = True
-    distance = distance_to(occupied) * cell
+    distance = distance_to(nodes_at(cloud.points, low, cell, shape)) * cell
     near = np.argwhere(distance < 4 * cell)
     exact, _ = cloud.distance(np.stack([axes[i][near[:, i]] for i in range(3)], 1))
     winding = winding_grid(cloud.points, cloud.normals * cloud.area[:, None], low, shape, cell)
@@ -65,6 +69,16 @@ def distance_grid(
     if closed is not None:
         distance = close_cavities(distance, axes, cell, closed)
     return DistanceGrid(distance.astype(np.float32), low.astype(np.float32), cell)
+
+
+def nodes_at(
+    points: Float[Array, "n 3"], low: Float[Array, "3"], cell: float, shape: tuple[int, ...]
+) -> Bool[Array, "x y z"]:
+    """The nodes of a grid nearest to points within it."""
+    marked = np.zeros(shape, bool)
+    index = np.round((points - low) / cell).astype(int)
+    marked[tuple(index[((index >= 0) & (index < shape)).all(1)].T)] = True
+    return marked
 
 
 def closed_surface(values: Float[Array, "x y z"], low: Float[Array, "3"], cell: float, outside: float) -> TriangleMesh:
@@ -87,11 +101,7 @@ def close_cavities(
     faces = subject.faces[(subject.vertices[subject.faces, 1] > neck - 0.05).any(1)]
     samples = lattice_samples(subject.vertices, faces, np.full(len(faces), 0.5 * cell))
     points = samples.on(subject.vertices, faces)
-    low = np.array([axis[0] for axis in axes])
-    index = np.round((points - low) / cell).astype(int)
-    index = index[((index >= 0) & (index < distance.shape)).all(1)]
-    occupied = np.zeros(distance.shape, bool)
-    occupied[tuple(index.T)] = True
+    occupied = nodes_at(points, np.array([axis[0] for axis in axes]), cell, distance.shape)
     occupied[:, axes[1] < neck] = True
     outside = air_beyond(occupied, (0, -1, 0))
     air = np.asarray(ndimage.binary_dilation(outside, iterations=2), bool)

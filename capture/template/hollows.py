@@ -152,6 +152,16 @@ def _mostly(unlike: Bool[Array, "r g b"] | None, shown: Float[Array, "views k 3"
     return (number >= SEEN_BY) & (2 * (unlike[red, green, blue] & seen).sum(0) >= number)
 
 
+def pixels_of(
+    camera: Camera, points: Float[Array, "n 3"]
+) -> tuple[Int[Array, "n"], Int[Array, "n"], Float[Array, "n"], Bool[Array, "n"]]:
+    """Row and column of the pixels that points fall on, their depth, and which the picture holds."""
+    pixels, depth = project(camera, points)
+    width, height = camera.size
+    column, row = np.floor(np.nan_to_num(pixels, nan=-1.0)).clip(-1, 1 << 20).astype(int).T
+    return row, column, depth, (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+
+
 class _Looks(NamedTuple):
     """How one view sees the cells of the surface."""
 
@@ -164,12 +174,9 @@ class _Looks(NamedTuple):
 
 def _looks(points: Float[Array, "n 3"], view: ColorView, cell: float) -> _Looks:
     """Each cell's pixel, and whether no other cell hides it: a depth image of cells as large as they appear."""
-    pixels, depth = project(view.camera, points)
-    height, width = view.mask.shape
-    column, row = np.floor(np.nan_to_num(pixels, nan=-1.0)).clip(-1, 1 << 20).astype(int).T
-    inside = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    row, column, depth, inside = pixels_of(view.camera, points)
     row, column = np.where(inside, row, 0), np.where(inside, column, 0)
-    nearest = np.full((height, width), np.inf)
+    nearest = np.full(view.mask.shape, np.inf)
     np.minimum.at(nearest, (row[inside], column[inside]), depth[inside])
     # a cell covers this many pixels to each side
     reach = max(1, int(np.ceil(0.6 * cell * view.camera.K[0, 0] / max(float(np.median(depth)), 1e-6))))

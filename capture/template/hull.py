@@ -16,12 +16,12 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy import ndimage
 
-from avatar.camera import Camera, project
+from avatar.camera import Camera
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import Capture, CaptureSubject, PartVideo
-from capture.template.grid import DistanceGrid, closed_surface, distance_grid
-from capture.template.hollows import ColorView, Sure, carve_hollows, color_views
+from capture.template.grid import DistanceGrid, closed_surface, distance_grid, trilinear
+from capture.template.hollows import ColorView, Sure, carve_hollows, color_views, pixels_of
 from capture.template.parts import rigid_weights
 from capture.template.surface import surface_cloud, visible_faces
 from capture.videos import even
@@ -67,11 +67,6 @@ def sure_background(video: PartVideo) -> list[Bool[Array, "height width"]]:
     return [~mask & ~own for mask, own in zip(video.masks, unsure)]
 
 
-def head_views(video: PartVideo, canonical_from_head: Float[Array, "4 4"]) -> list[MaskView]:
-    """The head video's views."""
-    return [MaskView(*of) for of in zip(sure_background(video), head_cameras(video, canonical_from_head), strict=True)]
-
-
 def head_cameras(video: PartVideo, canonical_from_head: Float[Array, "4 4"]) -> list[Camera]:
     """The head video's cameras; their frame differs from the canonical one by a similarity (Eq. 6)."""
     head_from_canonical = np.linalg.inv(canonical_from_head)
@@ -106,10 +101,7 @@ def background_share(
     """Of the views whose picture holds a point the share that shows background there, and how many views hold it."""
     against, seen = np.zeros(len(points)), np.zeros(len(points), int)
     for view in views:
-        pixels, depth = project(view.camera, points)
-        height, width = view.beside.shape
-        column, row = np.floor(np.nan_to_num(pixels, nan=-1.0)).clip(-1, 1 << 20).astype(int).T
-        holds = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        row, column, _, holds = pixels_of(view.camera, points)
         seen += holds
         against[holds] += view.beside[row[holds], column[holds]]
     return against / np.maximum(seen, 1), seen
@@ -151,11 +143,6 @@ class Hair(NamedTuple):
     low: Float[Array, "3"]  # place of share[0, 0, 0], metres
     cell: float
 
-    def at(self, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
-        """The share at points, trilinear; 0 outside the grid."""
-        places = ((points - self.low) / self.cell).T
-        return ndimage.map_coordinates(self.share, places, order=1, mode="constant", cval=0.0)
-
 
 class Pictures(NamedTuple):
     """What colors need to carve hollows (capture/template/hollows.py)."""
@@ -194,7 +181,8 @@ def carve(
     standing = hull & (distance > least[:, None])
     standing = np.asarray(ndimage.binary_opening(standing, ndimage.generate_binary_structure(3, 1)), bool)
     standing &= hanging(hull & (distance > -2 * cell), axes, scalp)
-    standing = large_pieces(standing, cell, axes[1] > scalp.neck)
+    above = np.broadcast_to((axes[1] > scalp.neck)[:, None], standing.shape)
+    standing = large_pieces(standing, cell, LEAST, above)
     if not standing.any():
         return None
     # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin
@@ -203,12 +191,13 @@ def carve(
     return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
 
 
-def large_pieces(cells: Bool[Array, "x y z"], cell: float, levels: Bool[Array, "y"]) -> Bool[Array, "x y z"]:
-    """The cells of pieces of LEAST or more that reach one of the levels."""
+def large_pieces(
+    cells: Bool[Array, "x y z"], cell: float, least: float, reached: Bool[Array, "x y z"]
+) -> Bool[Array, "x y z"]:
+    """The cells of connected pieces of `least` cubic metres or more that hold one of the cells `reached`."""
     label = pieces(cells)
-    kept = [n for n in range(1, int(label.max()) + 1)
-            if (label == n).sum() * cell**3 >= LEAST and (label == n)[:, levels].any()]  # fmt: skip
-    return np.isin(label, kept)
+    large = np.bincount(label.ravel()) * cell**3 >= least
+    return cells & (large & (np.bincount(label[reached], minlength=len(large)) > 0))[label]
 
 
 def hanging(outer: Bool[Array, "x y z"], axes: Sequence[Array], scalp: Scalp) -> Bool[Array, "x y z"]:
@@ -252,20 +241,19 @@ def with_hair(
         # no place is hair's that shoulders take when they rise
         others = (under_held_head(subject, body.axis_angle[i]) for i in even(len(body.axis_angle), RISEN))
         template = template._replace(values=np.min([template.values, *(distance_of(h).values for h in others)], 0))
-    views = head_views(capture.videos["head"], canonical_from_head)
+    head_video = capture.videos["head"]
+    cameras = head_cameras(head_video, canonical_from_head)
+    views = [MaskView(*of) for of in zip(sure_background(head_video), cameras, strict=True)]
     views += body_views(body, subject)
     pictures = None
     if hollows and estimated:
         # under the chin a close-up's mask is not to be believed, but hair would have hair's color there too
-        count = len(capture.videos["head"].cameras)
-        films = (capture.videos["head"], views[:count]), (body, views[count:])
+        films = (head_video, views[: len(cameras)]), (body, views[len(cameras) :])
         colored = [view for film, seen in films for view in color_views(
             film.images, ~np.stack([v.beside for v in seen]), [v.camera for v in seen], (low, high))]  # fmt: skip
         pictures = Pictures(held, colored, bare_vertices(subject, scalp))
     elif hollows:
-        video = capture.videos["head"]
-        cameras = head_cameras(video, canonical_from_head)
-        pictures = Pictures(subject, color_views(video.images, video.masks, cameras))
+        pictures = Pictures(subject, color_views(head_video.images, head_video.masks, cameras))
     hair = carve(views, template, scalp, pictures, ESTIMATED if estimated else GIVEN)
     if hair is None:
         return subject
@@ -274,7 +262,7 @@ def with_hair(
     # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
     under = template.at(vertices[faces].mean(1))
     faces = faces[under > -0.003]
-    covered = hair.at(held.vertices[subject.faces].mean(1)) > 0.75
+    covered = trilinear(*hair, held.vertices[subject.faces].mean(1), 0.0) > 0.75
     out = joined(subject, subject.faces[~covered], vertices, faces, scalp.neck)
     return replace(out, under_hair=subject.faces[covered]) if layers else out
 

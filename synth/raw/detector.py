@@ -86,7 +86,10 @@ class Detector:
     ) -> Float[Array, "points 3"] | None:
         """x, y (the middle of the first pixel is .5) and confidence of every point; None: no person is found."""
         G = joint_transforms(axis_angle, self.subject.joints.astype(np.float64), root)
-        at = np.stack([self._place(G, k) for k in range(len(self.points))])
+        at = np.stack([
+            G[list(point.joints), :3, 3].mean(0) + G[point.joints[0], :3, :3] @ (point.offset + bias)
+            for point, bias in zip(self.points, self.bias, strict=True)
+        ])  # fmt: skip
         pixels, depth = project(self.camera, at)
         seen, hidden = self._visible(vertices, pixels, depth)
         rng, unit = self.rng, min(self.camera.size) / 1080 * self.mistakes.noise
@@ -128,20 +131,14 @@ class Detector:
             people = [{"person_id": [-1], **person}]
         path.write_text(json.dumps({"version": 1.3, "people": people}))
 
-    def _place(self, G: Float[Array, "52 4 4"], k: int) -> Float[Array, "3"]:
-        point = self.points[k]
-        turn = G[point.joints[0], :3, :3]
-        return G[list(point.joints), :3, 3].mean(0) + turn @ (point.offset + self.bias[k])
-
     def _visible(
         self, vertices: Float[Array, "vertices 3"], pixels: Float[Array, "points 2"], depth: Float[Array, "points"]
     ) -> tuple[Bool[Array, "points"], Bool[Array, "points"]]:
         """Which points are in the picture, and which of them the body hides."""
         drawn = self.rasteriser.draw(vertices, self.subject.faces, self.small).depth
         inside = (pixels >= 0).all(1) & (pixels < self.camera.size).all(1) & (depth > 0)
-        x, y = (
-            np.clip(pixels * self.small.size[0] / self.camera.size[0], 0, np.array(self.small.size) - 1).astype(int).T
-        )
+        small = pixels * self.small.size[0] / self.camera.size[0]
+        x, y = np.clip(small, 0, np.array(self.small.size) - 1).astype(int).T
         behind = depth - drawn[y, x]
         return inside, behind > [point.depth for point in self.points]
 

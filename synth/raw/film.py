@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 from PIL import Image
 
 from avatar.camera import Camera, project
+from avatar.skeleton import PARTS
 from command.progress import progress
 from player.film.encoder import X264, encode
 from synth.film import write_frames
@@ -18,7 +19,7 @@ from synth.options import RawConfig
 from synth.photo import Studio
 from synth.raw.backdrop import Backdrop, backdrop
 from synth.raw.detector import Detector, Mistakes
-from synth.raw.movement import RawShots, plan_raw_videos
+from synth.raw.movement import RawShots, plan_raw_video
 from synth.raw.phone import phone_of
 from synth.room import Room, VertexLight
 
@@ -39,7 +40,7 @@ def mistakes_of(config: RawConfig) -> Mistakes:
 def film_raw(folder: Path, studio: Studio, lights: dict[str, FilmLight], size: int, config: RawConfig, seed: int):
     """Write the four videos, their keypoints and, in truth/, what is hidden from other stages; returns the shots."""
     wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
-    plan = plan_raw_videos(studio, wide, config.seconds, RATE, config.sway, seed)
+    plan = {part: plan_raw_video(studio, part, wide, config.seconds, RATE, config.sway, seed) for part in PARTS}
     for number, (part, shots) in enumerate(plan.items()):
         truth = folder / "truth" / part
         (truth / "masks").mkdir(parents=True)

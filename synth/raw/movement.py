@@ -61,17 +61,10 @@ class Wander:
         return np.sin(2 * np.pi * frequency * at + phase).sum(1) / np.sqrt(2)
 
 
-def plan_raw_videos(
-    studio: Studio, size: tuple[int, int], seconds: float, rate: float, sway: float, seed: int
-) -> dict[str, RawShots]:
-    """The four raw videos of a subject, by part; `seconds`: of the turn, after the empty second and the step in."""
-    return {part: plan_raw_video(studio, part, size, seconds, rate, sway, seed) for part in PARTS}
-
-
 def plan_raw_video(
     studio: Studio, part: str, size: tuple[int, int], seconds: float, rate: float, sway: float, seed: int
 ) -> RawShots:
-    """One of the four, as `plan_raw_videos` has it."""
+    """One of the four raw videos of a subject; `seconds`: of the turn, after the empty second and the step in."""
     subject = studio.subject
     joints = subject.joints.astype(np.float64)
     times = np.arange(round((EMPTY + ENTERING + seconds) * rate)) / rate
@@ -94,18 +87,14 @@ def plan_raw_video(
 
 def _body_camera(studio: Studio, size: tuple[int, int]) -> Camera:
     """At chest height 3.2 metres off, so that the T-pose and 8 cm round it fill the shorter side."""
-    every = np.concatenate([studio.posed(_heading(15.0 * k), np.zeros(3))[::5] for k in range(12)])
+    headings = np.zeros((12, len(JOINTS), 3))
+    headings[:, 0] = [axis_angle_from_matrix(rotation(y=15.0 * k)) for k in range(12)]
+    every = np.concatenate([studio.posed(pose, np.zeros(3))[::5] for pose in headings])
     middle = (every.min(0) + every.max(0)) / 2
     square = frame_points(middle + [0, 0.2, 3.2], middle, middle + 1.08 * (every - middle), min(size))
     K = square.K.copy()
     K[:2, 2] = size[0] / 2, size[1] / 2
     return Camera(K, square.camera_from_world, size)
-
-
-def _heading(degrees: float) -> Float[Array, "52 3"]:
-    pose = np.zeros((len(JOINTS), 3))
-    pose[0] = axis_angle_from_matrix(rotation(y=degrees))
-    return pose
 
 
 def _steady_poses(

@@ -94,7 +94,7 @@ def test_offsets_add_what_clothes_do():
     footage = in_clothes(truth, footage, 0.01)
     outlines = Outlines(footage)
     every = np.ones(len(normals), bool)
-    offsets = fit_offsets(truth, footage, outlines, outlines.pairs(truth, footage, every), ~every)
+    offsets = fit_offsets(truth, footage, outlines, every)
     height = truth.person.vertices(truth.g)[:, 1]
     trunk = (height > 0.05) & (height < 0.35)
     found = (offsets * normals).sum(1)[trunk]

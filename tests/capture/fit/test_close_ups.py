@@ -14,7 +14,7 @@ from capture.fit.person import person_of
 from capture.fit.picture import fit_pose
 from capture.fit.scan import STEPS, template_of
 from capture.fit.solve import posed_frames, solve
-from capture.fit.stored import fingerprint, read_estimate, write_estimate
+from capture.fit.stored import FIELDS, estimate_fields, estimate_of, fingerprint, read_step, write_step
 from capture.keypoints.record import Keypoints
 from tests.turning_twin import in_clothes, pictured
 
@@ -138,12 +138,14 @@ def test_a_finished_step_is_read_back_for_the_same_video_alone(tmp_path, monkeyp
                      np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 52, 3)))  # fmt: skip
     truth, footage = shown(replace(truth, root=truth.root - [0, 0, 3]), body_names(), MOVING)
     inputs = fingerprint(footage, "male")
-    write_estimate(tmp_path / "body.npz", truth, inputs)
-    again = read_estimate(tmp_path / "body.npz", person, inputs)
-    assert again is not None and again.log_focal == 0.1
+    write_step(tmp_path / "body.npz", estimate_fields(truth), inputs)
+    kept = read_step(tmp_path / "body.npz", FIELDS, inputs)
+    assert kept is not None
+    again = estimate_of(kept, person)
+    assert again.log_focal == 0.1
     np.testing.assert_array_equal(again.root, truth.root)
-    assert read_estimate(tmp_path / "body.npz", person, fingerprint(footage, "female")) is None
-    assert read_estimate(tmp_path / "head.npz", person, inputs) is None
+    assert read_step(tmp_path / "body.npz", FIELDS, fingerprint(footage, "female")) is None
+    assert read_step(tmp_path / "head.npz", FIELDS, inputs) is None
     # another method may answer otherwise
     monkeypatch.setattr(stored, "METHOD", stored.METHOD + 1)
-    assert read_estimate(tmp_path / "body.npz", person, fingerprint(footage, "male")) is None
+    assert read_step(tmp_path / "body.npz", FIELDS, fingerprint(footage, "male")) is None

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from capture.fit.body import fit_keypoints
-from capture.fit.focal import Focal, marginal, weighed
+from capture.fit.focal import marginal, weighed
 from capture.fit.priors import standing
-from capture.fit.stored import read_focal, write_focal
 from tests.turning_twin import turning_twin
 
 
@@ -51,10 +50,3 @@ def test_doubt_is_what_other_noise_would_change():
         found.append(estimate.log_focal)
         doubts.append(marginal(estimate, seen, standing(estimate, seen)))
     assert 0.2 < np.std(found, ddof=1) / np.mean(doubts) < 2
-
-
-def test_the_result_is_read_back_for_the_same_videos_alone(tmp_path):
-    write_focal(tmp_path / "focal.npz", Focal(1.4, 0.02), "these")
-    assert read_focal(tmp_path / "focal.npz", "these") == Focal(1.4, 0.02)
-    assert read_focal(tmp_path / "focal.npz", "others") is None
-    assert read_focal(tmp_path / "absent.npz", "these") is None

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from avatar.kinematics import pose_rows, posed, shape_rows, skinned
-from capture.fit.outline_term import Outlines, Pairs
+from capture.fit.contours import Silhouette
+from capture.fit.outline_term import Outlines
 from capture.fit.priors import shared_layout, standing
 from capture.fit.solve import assemble, moved
 from tests.turning_twin import turning_twin
@@ -34,7 +35,7 @@ def test_cost_changes_as_the_equations_say(what):
     chosen = rng.integers(0, len(truth.person.body.vertices), 40)
     normals = rng.standard_normal((40, 2))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    pairs = [Pairs(chosen, rng.uniform(90, 160, (40, 2)), normals)] * 5
+    pairs = [Silhouette(chosen, rng.uniform(90, 160, (40, 2)), normals)] * 5
     outlines = Outlines(footage)
     layout = shared_layout(estimate, footage)
     own, shared = np.zeros((5, 6 + 3 * len(footage.moving))), np.zeros(layout.count)
@@ -53,7 +54,7 @@ def test_cost_changes_as_the_equations_say(what):
 def test_an_outline_none_of_whose_points_is_near_says_nothing():
     estimate, footage = turning_twin(3)
     priors = standing(estimate, footage)
-    nothing = Pairs(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+    nothing = Silhouette(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
     cost = assemble(estimate, footage, priors, 1e6, ())[1]
     equations, with_outline = assemble(estimate, footage, priors, 1e6, (Outlines(footage).term([nothing] * 3, 1.0),))
     assert with_outline == cost
