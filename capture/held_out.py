@@ -101,8 +101,7 @@ def read_held_out(capture: Path, name: str) -> list[HeldOutView]:
     fields = read_arrays(path, shapes | {"camera_from_world": ("n", 4, 4), "size": (2,)})
     size = (int(fields["size"][0]), int(fields["size"][1]))
     views = []
-    for i, (pose, view) in enumerate(zip(fields["pose"].astype(int), fields["view"], strict=True)):
-        label = str(view) if fields["view"].dtype.kind == "U" else PARTS[int(view)]
+    for i, (pose, label) in enumerate(zip(fields["pose"].astype(int), map(str, fields["view"]), strict=True)):
         if label not in PARTS or not 0 <= pose < len(fields["poses"]):
             raise AssetError(f"{path}: row {i} is view {label!r} of pose {pose}; views are {PARTS}")
         camera = Camera(fields["K"][i], fields["camera_from_world"][i], size)

@@ -1,7 +1,6 @@
 """Videos that are read when they are asked for: four of 1080p and 100 frames are 4 GB, and one is used at a time."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 from weakref import WeakValueDictionary
 
@@ -52,12 +51,8 @@ def changed(
     """Videos as `change` makes them, each when it is asked for; those that are read stay unread until then."""
     if not isinstance(videos, Videos):
         return {part: change(part, video) for part, video in videos.items()}
-    made = {part: partial(_made, change, part, read) for part, read in videos.read.items()}
+    made = {part: lambda part=part, read=read: change(part, read()) for part, read in videos.read.items()}
     return Videos(made, videos.recent)
-
-
-def _made(change: "Callable[[str, PartVideo], PartVideo]", part: str, read: "Callable[[], PartVideo]") -> "PartVideo":
-    return change(part, read())
 
 
 def only(videos: Mapping[str, "PartVideo"], parts: Sequence[str]) -> Mapping[str, "PartVideo"]:

@@ -22,6 +22,12 @@ from geometry.mesh import (
 )
 
 PointFunction = Callable[[Float[Array, "n 3"]], Array]
+# samples of a block that is asked at its centre first, and the steepest slope of a distance that is believed
+BLOCK, STEEPEST = 8, 1.5
+# samples: slits of air less than twice as wide are filled
+SLIT = 2.5
+# metres between points of one group, about half
+CLUSTER = 0.03
 
 
 class Detail(NamedTuple):
@@ -68,25 +74,20 @@ class Extraction(NamedTuple):
 
 
 def graded_axis(
-    low: float,
-    high: float,
-    fine_spans: Sequence[tuple[float, float]],
-    coarse: float,
-    fine: float,
-    block: int = 8,
+    low: float, high: float, fine_spans: Sequence[tuple[float, float]], coarse: float, fine: float,
     details: Sequence[tuple[float, float, float]] = (),
-) -> Float[Array, "samples"]:
+) -> Float[Array, "samples"]:  # fmt: skip
     """Grid coordinates from low to at least high: step `fine` inside the spans, `coarse` elsewhere.
 
     `details` are spans with a step of their own; the finest counts.
 
     A rectilinear grid with graded axes keeps marching cubes free of cracks, which two grids would have
-    where they meet. The number of samples is a multiple of `block`.
+    where they meet. The number of samples is a multiple of BLOCK.
     """
     if not (high > low and coarse >= fine > 0):
         raise ValueError(f"axis from {low} to {high} with steps {coarse}, {fine}")
     samples = [low]
-    while samples[-1] < high or len(samples) % block:
+    while samples[-1] < high or len(samples) % BLOCK:
         here = samples[-1]
         inside = any(a - coarse <= here < b for a, b in fine_spans)
         own = [step for a, b, step in details if a - fine <= here < b]
@@ -95,29 +96,24 @@ def graded_axis(
 
 
 def sample_near_surface(
-    distance: PointFunction,
-    axes: tuple[Array, ...],
-    hints: Float[Array, "hints 3"],
-    *,
-    block: int = 8,
-    trust: float = 1.5,
+    distance: PointFunction, axes: tuple[Array, ...], hints: Float[Array, "hints 3"]
 ) -> tuple[Float[Array, "x y z"], int]:
     """Signed distance on a rectilinear grid, evaluated only where the surface can be.
 
-    Blocks of 8, 4 and 2 samples are asked at their centre; one whose |distance| exceeds `trust` times its
-    half diagonal cannot hold the surface (|grad| <= trust) and takes the centre's value, the others are
+    Blocks of 8, 4 and 2 samples are asked at their centre; one whose |distance| exceeds STEEPEST times its
+    half diagonal cannot hold the surface (|grad| <= STEEPEST) and takes the centre's value, the others are
     split. Blocks that hold a hint (a vertex known to be close to the surface) are always split.
 
     Returns:
         the volume, and how many distances were asked.
     """
     shape = tuple(len(axis) for axis in axes)
-    if any(n % block for n in shape):
-        raise ValueError(f"axes of {shape} samples are not multiples of {block}")
+    if any(n % BLOCK for n in shape):
+        raise ValueError(f"axes of {shape} samples are not multiples of {BLOCK}")
     volume = np.empty(shape, np.float32)
     hint_cell = np.stack([np.clip(np.searchsorted(a, hints[:, i]) - 1, 0, len(a) - 1) for i, a in enumerate(axes)], 1)
-    origins = np.stack(np.meshgrid(*[np.arange(0, n, block) for n in shape], indexing="ij"), -1).reshape(-1, 3)
-    queries, stride = 0, block
+    origins = np.stack(np.meshgrid(*[np.arange(0, n, BLOCK) for n in shape], indexing="ij"), -1).reshape(-1, 3)
+    queries, stride = 0, BLOCK
     while True:
         first = np.stack([axes[i][origins[:, i]] for i in range(3)], 1)
         if stride == 1:
@@ -129,7 +125,7 @@ def sample_near_surface(
         last = np.stack([axes[i][np.minimum(origins[:, i] + stride, shape[i] - 1)] for i in range(3)], 1)
         values = distance(0.5 * (first + last))
         queries += len(values)
-        near = np.abs(values) <= trust * 0.5 * np.linalg.norm(last - first, axis=1)
+        near = np.abs(values) <= STEEPEST * 0.5 * np.linalg.norm(last - first, axis=1)
         hinted = np.zeros(tuple(n // stride for n in shape), bool)
         hinted[tuple((hint_cell // stride).T)] = True
         near |= hinted[tuple((origins // stride).T)]
@@ -169,13 +165,11 @@ def front_samples(
     return tuple(np.concatenate(found).T)
 
 
-def slits_filled(
-    volume: Float[Array, "x y z"], axes: tuple[Array, ...], *, reach: float = 2.5
-) -> tuple[Float[Array, "x y z"], int]:
+def slits_filled(volume: Float[Array, "x y z"], axes: tuple[Array, ...]) -> tuple[Float[Array, "x y z"], int]:
     """Slits of air that end where the field was made solid (capture/template/solid.py), filled; and how many samples.
 
     A sheet inside the body that is joined to the skin is no component of its own. Its air is at most
-    2 `reach` samples wide and ends in a jump: there the distance changes sign by far more than the samples are
+    2 SLIT samples wide and ends in a jump: there the distance changes sign by far more than the samples are
     apart. Gaps between fingers, armpits and pits of the skin have no such end and stay as they are.
     """
     air = volume > 0
@@ -192,13 +186,13 @@ def slits_filled(
     filled = volume.copy()
     count = 0
     groups = pieces(np.asarray(binary_dilation(ends, iterations=4), bool))
-    pad = int(4 * reach) + 8
+    pad = int(4 * SLIT) + 8
     for box in find_objects(groups):
         box = tuple(slice(max(s.start - pad, 0), s.stop + pad) for s in box)
         here = air[box]
-        # air that a ball of `reach` samples fills when it rolls in from where there is room
-        room = distance_to(~here) > reach
-        wide = distance_to(room) <= reach if room.any() else np.zeros_like(here)
+        # air that a ball of SLIT samples fills when it rolls in from where there is room
+        room = distance_to(~here) > SLIT
+        wide = distance_to(room) <= SLIT if room.any() else np.zeros_like(here)
         found = pieces(here & ~wide, 3)
         slit = np.isin(found, np.setdiff1d(np.unique(found[ends[box]]), [0]))
         step = min(float(np.diff(axis).min()) for axis in axes)
@@ -308,7 +302,12 @@ def extract(
 def _axes(hints: Hints, steps: GridSteps, margin: float, details: Sequence[Detail]) -> tuple[Array, ...]:
     """Lines of the grid, fine along the spans of every group of fine points, a centimetre wider on both sides."""
     low, high, points = hints.points.min(0) - margin, hints.points.max(0) + margin, hints.points[hints.fine]
-    labels = _clusters(points) if len(points) else np.zeros(0, int)
+    # points closer than about two cells: the head and each hand get spans of their own
+    index = np.floor(points / CLUSTER).astype(np.int64)
+    index -= index.min(0, initial=0)
+    occupied = np.zeros(index.max(0, initial=0) + 1, bool)
+    occupied[tuple(index.T)] = True
+    labels = pieces(occupied, 3)[tuple(index.T)]
     groups = [points[labels == label] for label in np.unique(labels)]
     return tuple(
         graded_axis(
@@ -317,12 +316,3 @@ def _axes(hints: Hints, steps: GridSteps, margin: float, details: Sequence[Detai
         )
         for i in range(3)
     )  # fmt: skip
-
-
-def _clusters(points: Float[Array, "n 3"], cell: float = 0.03) -> Integer[Array, "n"]:
-    """Groups of points closer than about two cells: the head and each hand get spans of their own."""
-    index = np.floor(points / cell).astype(np.int64)
-    index -= index.min(0)
-    occupied = np.zeros(index.max(0) + 1, bool)
-    occupied[tuple(index.T)] = True
-    return pieces(occupied, 3)[tuple(index.T)]

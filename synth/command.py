@@ -11,16 +11,17 @@ import numpy as np
 from avatar.camera import write_cameras
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import PARTS
+from capture.read.folder import write_poses
 from capture.read.template import write_template
 from command.errors import AssetError
 from command.progress import plural, progress
 from command.settings import settings_json
-from files.whole import check_folder, whole_file, whole_folder, write_json
+from files.whole import check_folder, whole_folder, write_json
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
 from synth.cutout import cut_out
 from synth.film import Shots, disturbed, plan_videos, write_frames
-from synth.head_frame import cameras_in_head_frame, landmarks, scale_of, seeded_similarity
+from synth.head_frame import cameras_in_head_frame, landmarks, seeded_similarity
 from synth.light import light_of
 from synth.options import RawConfig, SynthConfig
 from synth.photo import Studio
@@ -41,7 +42,7 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
         AssetError: the subject cannot be read, or the folder not be written.
     """
     config = with_defaults(config, size=256, light="even")
-    assert config.size is not None
+    assert config.size is not None and config.light is not None
     check_folder(out)
     person = _person(subject)
     with _rasteriser() as rasteriser:
@@ -152,7 +153,7 @@ def _facts(person: SynthSubject, template: RegisteredTemplate, config: SynthConf
         "body_licence": template.mesh.licence,
         "subject_licence": person.licence,
         "registration": {key: round(value, 4) for key, value in template.residual.items()},
-        "head_units_per_metre": scale_of(seeded_similarity(config.seed)),
+        "head_units_per_metre": float(np.cbrt(np.linalg.det(seeded_similarity(config.seed)[:3, :3]))),
         "notes": list(person.notes),
     }
 
@@ -179,16 +180,9 @@ def _film(
         written = disturbed(shots, config.pose_noise, config.seed)
         turn = matrix_from_axis_angle(written.axis_angle[:, 0])
         write_cameras(out / "cameras.npz", shots.cameras)
-        with whole_file(out / "poses.npz") as file:
-            np.savez(
-                file,
-                poses=written.axis_angle.reshape(len(written.root), -1),
-                # the subject's pelvis joint is at 0 in pose 0: trans is where it stands, or where the template's does
-                trans=written.root + turn @ np.array(template.pelvis),
-                betas=np.zeros(16),
-                gender=np.array("neutral"),
-                mocap_framerate=np.array(RATE),
-            )
+        # the subject's pelvis joint is at 0 in pose 0: trans is where it stands, or where the template's does
+        root = written.root + turn @ np.array(template.pelvis)
+        write_poses(out / "poses.npz", written.axis_angle, root, RATE)
 
 
 def _take_held_out(folder: Path, studio: Studio, config: SynthConfig, looks: DetectorOf | None = None) -> None:

@@ -31,11 +31,6 @@ def seeded_similarity(seed: int) -> Float[Array, "4 4"]:
     return similarity
 
 
-def scale_of(similarity: Float[Array, "4 4"]) -> float:
-    """The scale of a similarity: units of the target per unit of the source."""
-    return float(np.cbrt(np.linalg.det(similarity[:3, :3])))
-
-
 def cameras_in_head_frame(
     shots: Shots, joints: Float[Array, "52 3"], head_from_canonical: Float[Array, "4 4"]
 ) -> tuple[Camera, ...]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from avatar.camera import direction
 from synth.options import MODES
 from synth.room import ROOM, Room
 
@@ -44,10 +45,9 @@ def light_of(mode: str, video: str, seed: int) -> FilmLight:
         return STILL[mode]
     if mode == "varied":
         rng = np.random.default_rng([seed, *video.encode()])
-        azimuth, elevation = rng.uniform(-1.2, 1.2), rng.uniform(0.2, 1.0)
-        x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
+        x, y, z = direction(rng.uniform(-1.2, 1.2), rng.uniform(0.2, 1.0)).tolist()
         ambient = float(rng.uniform(0.45, 0.8))
-        return StudioLight(ambient, 1 - ambient, (float(x), float(y), float(np.cos(azimuth) * np.cos(elevation))), 0.05)
+        return StudioLight(ambient, 1 - ambient, (x, y, z), 0.05)
     raise ValueError(f"light should be one of {MODES}, is {mode!r}")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
-from avatar.camera import Camera
+from avatar.camera import Camera, direction
 from avatar.motion.read import builtin_motion
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND
@@ -146,26 +146,22 @@ def view_cameras(
     subject = studio.subject
     cameras = {}
     middle = (vertices.min(0) + vertices.max(0)) / 2
-    direction = _direction(rng.uniform(-35, 35), rng.uniform(-12, 30))
-    cameras["body"] = frame_points(middle + 3.4 * direction, middle, vertices[::5], SIZE)
+    towards = direction(*np.radians([rng.uniform(-35, 35), rng.uniform(-12, 30)]))
+    cameras["body"] = frame_points(middle + 3.4 * towards, middle, vertices[::5], SIZE)
     for part in PARTS[1:]:
         members = subject.part == PARTS.index(part)
-        points = (
-            vertices[members & (subject.vertices[:, 1] > subject.joints[JOINTS.index("neck"), 1] - 0.02)]
-            if part == "head"
-            else vertices[members]
-        )
+        if part == "head":
+            members &= subject.vertices[:, 1] > subject.joints[JOINTS.index("neck"), 1] - 0.02
+        points = vertices[members]
         middle = (points.min(0) + points.max(0)) / 2
         best, most = None, -1.0
         for _ in range(CANDIDATES):
             if part == "head":
-                direction = turn @ _direction(rng.uniform(-75, 75), rng.uniform(-15, 35))
+                away = 1.1 * turn @ direction(*np.radians([rng.uniform(-75, 75), rng.uniform(-15, 35)]))
             else:
-                direction = rng.standard_normal(3)
-                direction /= np.linalg.norm(direction)
-            camera = frame_points(
-                middle + (1.1 if part == "head" else 0.85) * direction, middle, points, SIZE, FINEST_PIXEL
-            )
+                away = rng.standard_normal(3)
+                away *= 0.85 / np.linalg.norm(away)
+            camera = frame_points(middle + away, middle, points, SIZE, FINEST_PIXEL)
             small = studio.rasteriser.draw(vertices, subject.faces, camera.resized((64, 64)))
             drawn = small.face[small.face >= 0]
             share = float((studio.face_part[drawn] == PARTS.index(part)).sum())
@@ -175,11 +171,6 @@ def view_cameras(
         assert best is not None
         cameras[part] = best
     return cameras
-
-
-def _direction(azimuth: float, elevation: float) -> Float[np.ndarray, "3"]:
-    a, e = np.radians([azimuth, elevation])
-    return np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
 
 
 class DetectorOf(NamedTuple):
@@ -215,24 +206,19 @@ def take_set(
             name = f"{i:06d}_{view}"
             write_photo(folder, name, photo)
             if looks is not None:
-                detector = Detector(
-                    studio.subject, studio.rasteriser, camera, looks.mistakes, [looks.seed, seed, len(rows)]
-                )
+                seeds = [looks.seed, seed, len(rows)]
+                detector = Detector(studio.subject, studio.rasteriser, camera, looks.mistakes, seeds)
                 found = detector.look(stand.axis_angle, stand.root, vertices)
                 detector.write(folder / "keypoints" / f"{name}.json", found)
             rows.append((i, view, camera))
             yield name
+    pose, view, cameras = zip(*rows)
     with whole_file(folder / "views.npz") as file:
         np.savez(
-            file,
-            pose=np.array([row[0] for row in rows]),
-            view=np.array([row[1] for row in rows]),
-            poses=np.stack([stand.axis_angle for stand in stands]),
-            root=np.stack([stand.root for stand in stands]),
-            K=np.stack([row[2].K for row in rows]),
-            camera_from_world=np.stack([row[2].camera_from_world for row in rows]),
-            size=np.array([SIZE, SIZE]),
-        )
+            file, pose=np.array(pose), view=np.array(view), K=np.stack([camera.K for camera in cameras]),
+            camera_from_world=np.stack([camera.camera_from_world for camera in cameras]), size=np.array([SIZE, SIZE]),
+            poses=np.stack([stand.axis_angle for stand in stands]), root=np.stack([stand.root for stand in stands]),
+        )  # fmt: skip
 
 
 def write_photo(folder: Path, name: str, photo: Photo) -> None:

@@ -5,8 +5,8 @@ import trimesh
 
 from avatar.camera import Camera, look_at
 from avatar.skeleton import PARTS
-from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject, PartVideo
+from capture.template.parts import rigid_weights
 from geometry.rasterise import rasterise
 
 SIZE = 96
@@ -19,10 +19,14 @@ def head() -> CaptureSubject:
     vertices = ball.vertices * np.array([0.8, 1.1, 1.0])
     nose = 0.12 * np.exp(-((x**2 + y**2) / 0.0006)) * (z > 0)
     vertices *= (1 + nose + 0.04 * np.sin(40 * x))[:, None]
+    return rigid_subject(vertices, ball.faces, np.full(len(vertices), PARTS.index("head")))
+
+
+def rigid_subject(vertices: np.ndarray, faces: np.ndarray, part: np.ndarray) -> CaptureSubject:
+    """A person of one bone without hair, as it stands in pose 0."""
     count = len(vertices)
-    skin = SkinWeights(np.zeros((count, 4), int), np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)))
-    part = np.full(count, PARTS.index("head"))
-    return CaptureSubject("ball", vertices, vertices, ball.faces, skin, np.zeros((52, 3)), part, np.zeros(count, bool))
+    nobody = np.zeros(count, bool)
+    return CaptureSubject("ball", vertices, vertices, faces, rigid_weights(count), np.zeros((52, 3)), part, nobody)
 
 
 def paint(points: np.ndarray) -> np.ndarray:

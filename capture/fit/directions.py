@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from avatar.rotation import matrix_from_axis_angle
+from avatar.rotation import matrix_from_axis_angle, matrix_from_quaternion
 from geometry.least_squares import robust_cost, robust_weight
 
 # metres by which a body in a T-pose may be off its points
@@ -30,7 +30,7 @@ class Directions(NamedTuple):
     rotation: Float[Array, "frames 3 3"]  # world_from_points
     scale: Float[Array, "frames"]  # pixels of a metre at the points
     origin: Float[Array, "frames 2"]  # pixels of the points' origin
-    misfit: Float[Array, "frames"]  # metres, root of the robust mean square
+
     exchanged: Bool[Array, "frames"]  # fits better with left and right exchanged
 
 
@@ -48,10 +48,7 @@ def all_turns(count: int = 1200) -> Float[Array, "count 3 3"]:
     s = np.arange(count) + 0.5
     r, R = np.sqrt(s / count), np.sqrt(1 - s / count)
     a, b = 2 * np.pi * s / phi, 2 * np.pi * s / psi
-    x, y, z, w = r * np.sin(a), r * np.cos(a), R * np.sin(b), R * np.cos(b)
-    half = np.arctan2(np.sqrt(x * x + y * y + z * z), w)
-    axis = np.stack([x, y, z], 1) / np.maximum(np.sin(half), 1e-12)[:, None]
-    return matrix_from_axis_angle(2 * half[:, None] * axis)
+    return matrix_from_quaternion(np.stack([r * np.sin(a), r * np.cos(a), R * np.sin(b), R * np.cos(b)], 1))
 
 
 def find_directions(
@@ -70,13 +67,11 @@ def find_directions(
         other_cost, other_scale, other_origin = _fits(flat, pixels[:, mirrored], seen[:, mirrored], slack)
         other_total = other_cost * seen.sum(1)[:, None] / slack**2 + EXCHANGE
         exchanged = other_total < total
-        total = np.minimum(total, other_total)
-        cost, scale = np.where(exchanged, other_cost, cost), np.where(exchanged, other_scale, scale)
+        total, scale = np.minimum(total, other_total), np.where(exchanged, other_scale, scale)
         origin = np.where(exchanged[:, :, None], other_origin, origin)
     path = _smooth_path(total, candidates)
     frame = np.arange(len(path))
-    return Directions(candidates[path], scale[frame, path], origin[frame, path], np.sqrt(cost[frame, path]),
-                      exchanged[frame, path])  # fmt: skip
+    return Directions(candidates[path], scale[frame, path], origin[frame, path], exchanged[frame, path])
 
 
 def _fits(

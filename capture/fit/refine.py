@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from avatar.skeleton import PARTS
@@ -213,17 +213,13 @@ def read_refined(path: Path, video: PartVideo) -> PartVideo:
     video = _with_poses(video, axis_angle, root, kept)
     if masks_off == 0:
         return video
-    masks, unsure = (_unpacked(path, fields.get(name), name, video.masks.shape) for name in ("masks", "unsure"))
-    return replace(video, masks=masks, unsure=unsure)
-
-
-def _unpacked(
-    path: Path, packed: Array | None, name: str, shape: tuple[int, ...]
-) -> Bool[Array, "frames height width"]:
-    count = int(np.prod(shape))
-    if packed is None or packed.dtype != np.uint8 or len(packed) != -(-count // 8):
-        raise AssetError(f"{path}: {name} should be {count} bits")
-    return np.unpackbits(packed, count=count).astype(bool).reshape(shape)
+    shape, bits = video.masks.shape, {}
+    for name in ("masks", "unsure"):
+        packed, count = fields.get(name), int(np.prod(shape))
+        if packed is None or packed.dtype != np.uint8 or len(packed) != -(-count // 8):
+            raise AssetError(f"{path}: {name} should be {count} bits")
+        bits[name] = np.unpackbits(packed, count=count).astype(bool).reshape(shape)
+    return replace(video, **bits)
 
 
 def _with_poses(video: PartVideo, axis_angle: Array | None, root: Array | None, kept: Int[Array, "k"]) -> PartVideo:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.ndimage import map_coordinates
 
 from avatar.body import Body
 from avatar.skeleton import BIG_POSE, PARENTS, skin_transforms
@@ -55,10 +56,8 @@ def authors_template(folder: Path, skeleton: AuthorsSkeleton, body: Body | None,
         raise AssetError(f"{folder / 'faces.npy'}: faces should index {count} vertices")
     if body is None:
         skin = _weights_of_grid(folder / "bigpose_bw.npy", skeleton.vertices)
-        notes.append(
-            "skin weights: from the 25 mm grid lbs/bigpose_bw.npy, blurred between fingers; --body MODEL has them "
-            "exactly"
-        )
+        grid = "from the 25 mm grid lbs/bigpose_bw.npy, blurred between fingers; --body MODEL has them exactly"
+        notes.append(f"skin weights: {grid}")
     else:
         skin = body.skin
         notes.append(f"skin weights: of {body.name}")
@@ -81,16 +80,10 @@ def _weights_of_grid(path: Path, vertices: Float[Array, "vertices 3"]) -> SkinWe
     if (np.abs(np.array(grid.shape[:3]) - expected) > 1).any():
         raise AssetError(
             f"{path}: expected about {tuple(expected.tolist())} points of {GRID_CELL * 1000:.0f} mm round the "
-            "vertices, "
-            f"found {grid.shape[:3]}"
+            f"vertices, found {grid.shape[:3]}"
         )
-    at = (vertices - low) / GRID_CELL
-    base = np.clip(np.floor(at).astype(np.int64), 0, np.array(grid.shape[:3]) - 2)
-    along = at - base
-    weights = np.zeros((len(vertices), 52))
-    for corner in np.ndindex(2, 2, 2):
-        share = np.prod(np.where(corner, along, 1 - along), axis=1)
-        weights += np.maximum(share, 0)[:, None] * grid[tuple((base + corner).T)]
+    at = ((vertices - low) / GRID_CELL).T
+    weights = np.stack([map_coordinates(grid[..., bone], at, order=1, mode="nearest") for bone in range(52)], 1)
     try:
         return strongest_four(weights)
     except ValueError as error:

@@ -10,6 +10,7 @@ Counts in binary files are checked against the bytes that are there before anyth
 """
 
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,6 +31,11 @@ READ = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 SUBFOLDERS = ("", "0", "sparse/0", "sparse")
 
 
+# number, model, width, height and parameters; name, number of the camera, quaternion and translation
+LensRow = tuple[int, str, int, int, tuple[float, ...]]
+ImageRow = tuple[str, int, tuple[float, ...], tuple[float, ...]]
+
+
 class Lens(NamedTuple):
     """Intrinsics of one COLMAP camera."""
 
@@ -45,17 +51,19 @@ def read_colmap(folder: Path | str) -> dict[str, Camera]:
         AssetError: no model in the folder, a damaged or lying file, a camera model that is not read here.
     """
     folder = Path(folder)
-    for suffix in ("bin", "txt"):
+    for suffix, lenses_in, images_in in (("bin", _binary_lenses, _binary_images), ("txt", _text_lenses, _text_images)):
         for inside in SUBFOLDERS:
-            place = folder / inside
-            if (place / f"cameras.{suffix}").is_file() and (place / f"images.{suffix}").is_file():
-                lenses = (_binary_lenses if suffix == "bin" else _text_lenses)(place / f"cameras.{suffix}")
-                return (_binary_images if suffix == "bin" else _text_images)(place / f"images.{suffix}", lenses)
+            lens_file, image_file = (folder / inside / f"{name}.{suffix}" for name in ("cameras", "images"))
+            if lens_file.is_file() and image_file.is_file():
+                lenses = {row[0]: _lens(f"{lens_file}, camera {row[0]}", *row[1:]) for row in lenses_in(lens_file)}
+                cameras: dict[str, Camera] = {}
+                for name, camera, q, t in images_in(image_file):
+                    place = f"{image_file}, image {name[:80]}"
+                    if name in cameras:
+                        raise AssetError(f"{place}: is there twice")
+                    cameras[name] = _posed(place, lenses.get(camera), camera, q, t)
+                return cameras
     raise AssetError(f"{folder}: expected a COLMAP model (cameras and images, .bin or .txt), found none")
-
-
-def _read(path: Path) -> bytes:
-    return read_bytes(path, "a COLMAP model", most=MAX_BYTES)
 
 
 def _lens(place: str, model: str, width: int, height: int, p: tuple[float, ...]) -> Lens:
@@ -98,14 +106,13 @@ def _posed(place: str, lens: Lens | None, camera: int, q: tuple[float, ...], t: 
 
 def _lines(path: Path) -> list[str]:
     try:
-        text = _read(path).decode("utf-8")
+        text = read_bytes(path, "a COLMAP model", most=MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError:
         raise AssetError(f"{path}: expected a COLMAP text file, found bytes that are no text") from None
     return [line for line in text.splitlines() if not line.startswith("#")]
 
 
-def _text_lenses(path: Path) -> dict[int, Lens]:
-    lenses: dict[int, Lens] = {}
+def _text_lenses(path: Path) -> Iterator[LensRow]:
     for line in _lines(path):
         words = line.split()
         if not words:
@@ -115,12 +122,10 @@ def _text_lenses(path: Path) -> dict[int, Lens]:
             parameters = tuple(float(word) for word in words[4:16])
         except (ValueError, IndexError):
             raise AssetError(f"{path}: expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, found {line[:60]!r}") from None
-        lenses[number] = _lens(f"{path}, camera {number}", model, width, height, parameters)
-    return lenses
+        yield number, model, width, height, parameters
 
 
-def _text_images(path: Path, lenses: dict[int, Lens]) -> dict[str, Camera]:
-    cameras: dict[str, Camera] = {}
+def _text_images(path: Path) -> Iterator[ImageRow]:
     lines = _lines(path)
     while lines and not lines[-1].strip() and len(lines) % 2:
         lines.pop()
@@ -135,11 +140,7 @@ def _text_images(path: Path, lenses: dict[int, Lens]) -> dict[str, Camera]:
                 f"{path}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME in every second line, found "
                 f"{line[:60]!r}"
             ) from None
-        place = f"{path}, image {name[:80]}"
-        if name in cameras:
-            raise AssetError(f"{place}: is there twice")
-        cameras[name] = _posed(place, lenses.get(camera), camera, tuple(numbers[:4]), tuple(numbers[4:]))
-    return cameras
+        yield name, camera, tuple(numbers[:4]), tuple(numbers[4:])
 
 
 # binary
@@ -149,7 +150,7 @@ class _Bytes:
     """Reads forward through a file that may lie about its counts."""
 
     def __init__(self, path: Path):
-        self.path, self.data, self.at = path, _read(path), 0
+        self.path, self.data, self.at = path, read_bytes(path, "a COLMAP model", most=MAX_BYTES), 0
 
     def take(self, layout: str) -> tuple:
         size = struct.calcsize(layout)
@@ -176,10 +177,14 @@ class _Bytes:
         piece, self.at = self.data[self.at : end], end + 1
         return piece.decode("utf-8", "replace")
 
+    def end(self) -> None:
+        """Refuse bytes that are left over."""
+        if self.at != len(self.data):
+            raise AssetError(f"{self.path}: expected {self.at} bytes, found {len(self.data)}")
 
-def _binary_lenses(path: Path) -> dict[int, Lens]:
+
+def _binary_lenses(path: Path) -> Iterator[LensRow]:
     file = _Bytes(path)
-    lenses: dict[int, Lens] = {}
     for _ in range(file.count(48, "cameras")):
         number, model, width, height = file.take("<IiQQ")
         place = f"{path}, camera {number}"
@@ -188,27 +193,15 @@ def _binary_lenses(path: Path) -> dict[int, Lens]:
         name, parameters = MODELS[model]
         if max(width, height) > 65536:
             raise AssetError(f"{place}: size should be at most 65536 pixels, is {width} x {height}")
-        lenses[number] = _lens(place, name, width, height, file.take(f"<{parameters}d"))
-    _nothing_left(file)
-    return lenses
+        yield number, name, width, height, file.take(f"<{parameters}d")
+    file.end()
 
 
-def _binary_images(path: Path, lenses: dict[int, Lens]) -> dict[str, Camera]:
+def _binary_images(path: Path) -> Iterator[ImageRow]:
     file = _Bytes(path)
-    cameras: dict[str, Camera] = {}
     for _ in range(file.count(73, "images")):
         _, *q, x, y, z, camera = file.take("<I4d3dI")
-        name = file.name()
-        place = f"{path}, image {name[:80]}"
-        if name in cameras:
-            raise AssetError(f"{place}: is there twice")
-        cameras[name] = _posed(place, lenses.get(camera), camera, tuple(q), (x, y, z))
+        yield file.name(), camera, tuple(q), (x, y, z)
         points = file.count(24, "points")
         file.at += 24 * points
-    _nothing_left(file)
-    return cameras
-
-
-def _nothing_left(file: _Bytes) -> None:
-    if file.at != len(file.data):
-        raise AssetError(f"{file.path}: expected {file.at} bytes, found {len(file.data)}")
+    file.end()

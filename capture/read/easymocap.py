@@ -25,7 +25,7 @@ from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, matr
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.read.colmap import read_colmap
-from capture.read.folder import PICTURES, SourceVideo, anchored, chosen_frames, pictures_in, write_capture
+from capture.read.folder import PICTURES, SourceVideo, anchored, chosen_frames, mask_of, pictures_in, write_capture
 from capture.read.landmarks import LEAST, read_pixels, triangulated
 from capture.read.opencv_yaml import read_easymocap_camera
 from capture.read.places import SPOTS, landmark_vertices
@@ -111,7 +111,7 @@ def _fitted_video(
     pose = camera.camera_from_world.copy()
     pose[:3, :3] = pose[:3, :3] @ turn.T
     turned = Camera(camera.K, pose, camera.size, camera.distortion)
-    masked = tuple(_mask_of(masks, image) for image in images)
+    masked = tuple(mask_of(masks, image) for image in images)
     place = f"{folder / 'extri.yml'}: T and Th of {files[0][1].parent}"
     return SourceVideo(images, masked, False, (turned,) * len(images), axis_angle, root, place)
 
@@ -183,13 +183,6 @@ def _check_shapes(files: list[tuple[Path, Path]], shapes: Float[Array, "frames n
         )
 
 
-def _mask_of(folder: Path, image: Path) -> Path:
-    for suffix in PICTURES:
-        if (folder / f"{image.stem}{suffix}").is_file():
-            return folder / f"{image.stem}{suffix}"
-    raise AssetError(f"{folder / (image.stem + '.png')}: no such mask, expected one for {image.name}")
-
-
 def _head_video(
     folder: Path,
     model: Path,
@@ -207,15 +200,13 @@ def _head_video(
         raise AssetError(f"{model}: expected image names that differ, found the same in several folders")
     registered = [image for image in images if image.name in by_name]
     if len(registered) < LEAST_HEAD_FRAMES:
-        example = f"; the model has {sorted(by_name)[:3]}, the folder {[p.name for p in images[:3]]}"
         raise AssetError(
-            f"{model}: expected at least {LEAST_HEAD_FRAMES} images of {folder / 'images'}, found "
-            f"{len(registered)}{example}"
+            f"{model}: expected at least {LEAST_HEAD_FRAMES} images of {folder / 'images'}, found {len(registered)}; "
+            f"the model has {sorted(by_name)[:3]}, the folder {[p.name for p in images[:3]]}"
         )
     if len(registered) < len(images):
-        notes.append(
-            f"head: {len(images) - len(registered)} of {len(images)} images are not in COLMAP's model, left out"
-        )
+        left_out = len(images) - len(registered)
+        notes.append(f"head: {left_out} of {len(images)} images are not in COLMAP's model, left out")
     frames = chosen_frames(len(registered), most, given, str(folder))
     chosen = [registered[k] for k in frames]
     notes.append(f"head: {len(chosen)} of {len(registered)} registered frames, {chosen[0].stem} to {chosen[-1].stem}")
@@ -236,7 +227,7 @@ def _head_video(
         rows = np.array(list(pixels.values())).reshape(-1, 2)
         points[name], error = triangulated(f"{landmarks}: {name}", views, rows)
         errors.append(error)
-    masked = tuple(_mask_of(masks, image) for image in chosen)
+    masked = tuple(mask_of(masks, image) for image in chosen)
     video = SourceVideo(tuple(chosen), masked, False, tuple(by_name[image.name] for image in chosen))
     return video, points, vertices, float(np.mean(errors)) if errors else 0.0
 
@@ -248,11 +239,8 @@ def _landmarks(
     known = landmark_vertices(template.vertices, template.part == PARTS.index("head")) | own
     foreign = sorted(set(points) - set(known))
     if foreign:
-        raise AssetError(
-            f"{path}: pixels.{foreign[0]}: expected one of {', '.join(n for n in SPOTS if n in known)}, or its "
-            "vertex under "
-            '"vertices"'
-        )
+        places = ", ".join(name for name in SPOTS if name in known)
+        raise AssetError(f'{path}: pixels.{foreign[0]}: expected one of {places}, or its vertex under "vertices"')
     if len(points) < LEAST:
         raise AssetError(f"{path}: expected at least {LEAST} landmarks, found {len(points)}: {sorted(points)}")
     names = sorted(points)

@@ -78,11 +78,7 @@ def write_capture(
             if video.axis_angle is None or video.root is None:
                 write_json(folder / part / "landmarks.json", landmarks)
                 continue
-            with whole_file(folder / part / "poses.npz") as file:
-                np.savez(
-                    file, poses=video.axis_angle.reshape(-1, 156), trans=video.root, betas=np.zeros(16),
-                    gender=np.array("neutral"), mocap_framerate=np.array(RATE), up_axis=np.array("y"),
-                )  # fmt: skip
+            write_poses(folder / part / "poses.npz", video.axis_angle, video.root, RATE)
         content = {
             "format": "selfscan-capture", "version": 1, "subject": facts["subject"], "units": "metres",
             "parts": list(PARTS), "frames": {part: len(videos[part].images) for part in PARTS},
@@ -93,6 +89,17 @@ def write_capture(
             read_capture(folder)
         except AssetError as error:
             raise AssetError(str(error).replace(str(folder), str(out))) from None
+
+
+def write_poses(
+    path: Path, axis_angle: Float[Array, "frames 52 3"], root: Float[Array, "frames 3"], rate: float
+) -> None:
+    """A video's poses.npz, as AMASS has it; y is up."""
+    with whole_file(path) as file:
+        np.savez(
+            file, poses=axis_angle.reshape(-1, 156), trans=root, betas=np.zeros(16), gender=np.array("neutral"),
+            mocap_framerate=np.array(rate), up_axis=np.array("y"),
+        )  # fmt: skip
 
 
 def read_mask(path: Path, size: tuple[int, int], *, any_value: bool) -> Bool[Array, "height width"]:
@@ -120,6 +127,14 @@ def pictures_in(folder: Path) -> list[Path]:
     if not found:
         raise AssetError(f"{folder}: expected frames ({', '.join(PICTURES)}), found none")
     return sorted(found, key=lambda path: name_order(path.name))
+
+
+def mask_of(folder: Path, image: Path) -> Path:
+    """The mask of a picture: a file of the same stem; AssetError where there is none."""
+    for suffix in PICTURES:
+        if (folder / f"{image.stem}{suffix}").is_file():
+            return folder / f"{image.stem}{suffix}"
+    raise AssetError(f"{folder / (image.stem + '.png')}: no such mask, expected one for {image.name}")
 
 
 def chosen_frames(count: int, most: int, given: tuple[int, int, int] | None, place: str) -> Array:

@@ -110,10 +110,15 @@ def read_easymocap_camera(folder: Path, name: str | None, size: tuple[int, int])
         R = _shaped(extrinsics, R_of, f"Rot_{name}", 9).reshape(3, 3)
     else:
         R = matrix_from_axis_angle(_shaped(extrinsics, R_of, f"R_{name}", 3).reshape(3))
+    T = _shaped(extrinsics, R_of, f"T_{name}", 3).reshape(3)
+    return opencv_camera(f"{intrinsics} and extri.yml, camera {name}", K, R, T, size, distortion)
+
+
+def opencv_camera(place: str, K: Array, R: Array, T: Array, size: tuple[int, int], distortion: Array) -> Camera:
+    """A camera whose pixel centres lie on whole numbers, as one of ours; `place` begins what is refused."""
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = R, _shaped(extrinsics, R_of, f"T_{name}", 3).reshape(3)
-    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    return checked_camera(f"{intrinsics} and extri.yml, camera {name}", K + half, pose, size, distortion)
+    pose[:3, :3], pose[:3, 3] = R, T
+    return checked_camera(place, K + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], pose, size, distortion)
 
 
 def _shaped(path: Path, matrices: dict[str, Array], key: str, count: int) -> Array:

@@ -27,13 +27,14 @@ from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.body import Body
-from avatar.camera import Camera, checked_camera
+from avatar.camera import Camera
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.read.authors_files import field, numbers, record
 from capture.read.authors_template import AuthorsSkeleton, authors_template, read_skeleton
-from capture.read.folder import SourceVideo, anchored, chosen_frames, pictures_in, write_capture
+from capture.read.folder import SourceVideo, anchored, chosen_frames, mask_of, pictures_in, write_capture
+from capture.read.opencv_yaml import opencv_camera
 from capture.read.places import landmark_vertices
 from capture.read.template import TemplateMesh
 from command.errors import AssetError
@@ -77,11 +78,8 @@ def import_totalselfscan(
     template = authors_template(source / "lbs", skeletons["body"], body, notes)
     videos: dict[str, SourceVideo] = {}
     for part in PARTS:
-        folder = source / FOLDERS[part]
-        if part == "head":
-            videos[part] = _head_video(folder, most, chosen.get(part), notes)
-        else:
-            videos[part] = _body_video(folder, part, skeletons[part], template, most, chosen.get(part), notes)
+        taken = source / FOLDERS[part], most, chosen.get(part), notes
+        videos[part] = _head_video(*taken) if part == "head" else _body_video(*taken, part, skeletons[part], template)
     landmarks = _landmarks(source / "face" / "tvertices_face.npy", template, skeletons["body"].origin, notes)
     facts = {"subject": source.resolve().name, "source": "totalselfscan", "light": "as filmed",
              "body_licence": template.licence, "notes": notes}  # fmt: skip
@@ -102,8 +100,8 @@ def _frames_of(
 
 
 def _body_video(
-    folder: Path, part: str, skeleton: AuthorsSkeleton, template: TemplateMesh, most: int,
-    given: tuple[int, int, int] | None, notes: list[str],
+    folder: Path, most: int, given: tuple[int, int, int] | None, notes: list[str], part: str, skeleton: AuthorsSkeleton,
+    template: TemplateMesh,
 ) -> SourceVideo:  # fmt: skip
     path = folder / "annots.npy"
     annots = record(path, "cameras and frames")
@@ -167,18 +165,8 @@ def _camera(path: Path, annots: dict[str, Any], part: str, size: tuple[int, int]
         if not isinstance(values, (list, tuple, np.ndarray)) or not len(values):
             raise AssetError(f"{path}: cams.{name} should hold a camera, is {str(values)[:40]}")
         first[name] = values[0]
-    T = field(path, first, "T", (3,)) / (1000 if part == "body" else 1)
-    return _opencv_camera(
-        f"{path}, cams", field(path, first, "K", (3, 3)), field(path, first, "R", (3, 3)), T, size,
-        field(path, first, "D", (5,)),
-    )  # fmt: skip
-
-
-def _opencv_camera(place: str, K: Array, R: Array, T: Array, size: tuple[int, int], D: Array) -> Camera:
-    """A camera whose pixel centres lie on whole numbers, as one of ours."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = R, T
-    return checked_camera(place, K + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], pose, size, D)
+    K, R, T, D = (field(path, first, name, shape) for name, shape in zip("KRTD", ((3, 3), (3, 3), (3,), (5,))))
+    return opencv_camera(f"{path}, cams", K, R, T / (1000 if part == "body" else 1), size, D)
 
 
 def _pose(path: Path, skeleton: AuthorsSkeleton) -> tuple[Float[Array, "52 3"], Float[Array, "3"]]:
@@ -214,8 +202,7 @@ def _check_surface(
     if away > AGREE:
         raise AssetError(
             f"{path}: vertices should lie within {AGREE * 100:.0f} cm of the template posed by params/{stem}.npy "
-            "(metres, "
-            f"X = R(Rh) X_pose + Th), are {away * 100:.3g} cm away"
+            f"(metres, X = R(Rh) X_pose + Th), are {away * 100:.3g} cm away"
         )
 
 
@@ -242,9 +229,9 @@ def _head_video(folder: Path, most: int, given: tuple[int, int, int] | None, not
         if min(K.shape, default=0) < 3 or K.ndim != 2 or R.shape != (3, 3) or T.size != 3:
             raise AssetError(f"{path}: camera {k} should have K (1, 3, 3), R (1, 3, 3) and T (1, 3, 1), has "
                              f"{K.shape}, {R.shape} and {T.shape} behind the first axis")  # fmt: skip
-        chosen.append(_opencv_camera(f"{path}, camera {k}", K[:3, :3], R, T.reshape(3), size, np.zeros(5)))
+        chosen.append(opencv_camera(f"{path}, camera {k}", K[:3, :3], R, T.reshape(3), size, np.zeros(5)))
     pictures = tuple(images[k] for k in frames)
-    return SourceVideo(pictures, tuple(_face_mask(folder, image) for image in pictures), True, tuple(chosen))
+    return SourceVideo(pictures, tuple(mask_of(folder / "masks", image) for image in pictures), True, tuple(chosen))
 
 
 def _leading(path: Path, camera: dict[str, Any], name: str, k: int) -> Array:
@@ -260,13 +247,6 @@ def _leading(path: Path, camera: dict[str, Any], name: str, k: int) -> Array:
     return array[0]
 
 
-def _face_mask(folder: Path, image: Path) -> Path:
-    for name in (f"{image.stem}.png", image.name):
-        if (folder / "masks" / name).is_file():
-            return folder / "masks" / name
-    raise AssetError(f"{folder / 'masks' / (image.stem + '.png')}: no such mask, expected one for {image.name}")
-
-
 def _landmarks(path: Path, template: TemplateMesh, origin: Float[Array, "3"], notes: list[str]) -> dict[str, Any]:
     """landmarks.json of a face frame that is known: the canonical one with the pelvis at J0.
 
@@ -280,8 +260,7 @@ def _landmarks(path: Path, template: TemplateMesh, origin: Float[Array, "3"], no
     if away > AGREE:
         raise AssetError(
             f"{path}: the face should lie within {AGREE * 100:.0f} cm of the body's head in the canonical frame "
-            "(metres), is "
-            f"{away * 100:.3g} cm away"
+            f"(metres), is {away * 100:.3g} cm away"
         )
     vertices = landmark_vertices(template.vertices, template.part == PARTS.index("head"))
     if len(vertices) < 6:

@@ -85,19 +85,14 @@ def body_sockets() -> tuple[Socket, Socket]:
 def eye_spheres(subject: CaptureSubject) -> EyeSpheres | None:
     """The subject's eyeballs in the canonical frame; None for a template that neither states them nor is the free
     body, whose sockets are known."""
-    stated = subject.eyes
-    if stated is None and _is_free_body(subject):
+    stated, faces = subject.eyes, builtin_body("male").faces
+    # hair may have been joined to the free body
+    if stated is None and np.array_equal(subject.faces[: len(faces)], faces):
         stated = socket_spheres(subject.rest)
     if stated is None:
         return None
     B = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))[HEAD]
     return EyeSpheres(stated[:, :3] @ B[:3, :3].T + B[:3, 3], stated[:, 3])
-
-
-def _is_free_body(subject: CaptureSubject) -> bool:
-    """Whether the template begins with the free body; hair may have been joined to it."""
-    faces = builtin_body("male").faces
-    return len(subject.faces) >= len(faces) and np.array_equal(subject.faces[: len(faces)], faces)
 
 
 def socket_spheres(vertices: Float[Array, "vertices 3"]) -> Float[Array, "2 4"]:

@@ -39,6 +39,10 @@ ERODED = 0.006
 FARTHEST = 0.12  # metres: no hair stands farther off
 # metres: farther than this off the template is hair
 STANDS_OFF = 0.015
+# a cell is empty when a greater share of the views that see it show background there, and metres off the trunk that are
+# hair; the second pair where poses are from the videos: outlines are a centimetre off, shoulders two, and a tenth of
+# the views contradicts half of the hair
+GIVEN, ESTIMATED = (0.1, STANDS_OFF), (0.2, 0.025)
 # cubic metres, a tenth of a litre: less standing off is an ear, a collar, a hull's hollow
 LEAST = 1e-4
 # share of a head's height over its lowest skin where the brow is: all that stands off above it is hair
@@ -107,18 +111,6 @@ def background_share(
     return against / np.maximum(seen, 1), seen
 
 
-class Trust(NamedTuple):
-    """How far masks and template are believed."""
-
-    against: float  # a cell is empty when more of the views that see it show background there
-    trunk: float  # metres: farther than this off the trunk is hair
-
-
-GIVEN = Trust(0.1, STANDS_OFF)
-# poses from the videos: outlines are a centimetre off, shoulders two; a tenth of the views contradicts half of the hair
-ESTIMATED = Trust(0.2, 0.025)
-
-
 class Scalp(NamedTuple):
     """Where hair grows, canonical metres."""
 
@@ -155,7 +147,7 @@ class Pictures(NamedTuple):
 
 def carve(
     views: Sequence[MaskView], template: DistanceGrid, scalp: Scalp, pictures: Pictures | None = None,
-    trust: Trust = GIVEN,
+    trust: tuple[float, float] = GIVEN,
 ) -> Hair | None:  # fmt: skip
     """What the views hold round the template, where it stands off far enough to be hair; None: nothing.
 
@@ -168,7 +160,8 @@ def carve(
     held = distance < 0
     asked = np.argwhere(~held & (distance < FARTHEST))
     share, seen = background_share(low + cell * asked, views)
-    held[tuple(asked.T)] = (share <= trust.against) & (seen >= SEEN_BY)
+    against, trunk = trust
+    held[tuple(asked.T)] = (share <= against) & (seen >= SEEN_BY)
     if pictures is not None:
         sure = None
         if pictures.bare is not None:
@@ -177,7 +170,7 @@ def carve(
             sure = Sure(np.broadcast_to(grows, held.shape), pictures.bare)
         held &= ~carve_hollows(held, held & (distance > cell), low, cell, pictures.subject, pictures.views, sure)
     hull = distance_to(~held) * cell > ERODED
-    least = np.where(axes[1] > scalp.neck, STANDS_OFF, trust.trunk)
+    least = np.where(axes[1] > scalp.neck, STANDS_OFF, trunk)
     standing = hull & (distance > least[:, None])
     standing = np.asarray(ndimage.binary_opening(standing, ndimage.generate_binary_structure(3, 1)), bool)
     standing &= hanging(hull & (distance > -2 * cell), axes, scalp)
@@ -261,9 +254,13 @@ def with_hair(
     vertices, faces = closed_surface(0.5 - hair.share, hair.low, hair.cell, 0.5)
     # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
     under = template.at(vertices[faces].mean(1))
-    faces = faces[under > -0.003]
+    mesh, _ = compact(vertices, faces[under > -0.003])
     covered = trilinear(*hair, held.vertices[subject.faces].mean(1), 0.0) > 0.75
-    out = joined(subject, subject.faces[~covered], vertices, faces, scalp.neck)
+    bone = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))[HEAD]
+    rest = np.linalg.solve(bone[:3, :3], (mesh.vertices - bone[:3, 3]).T).T
+    part = np.where(mesh.vertices[:, 1] > scalp.neck, PARTS.index("head"), PARTS.index("body"))
+    out = subject.joined(subject.faces[~covered], mesh, rest, rigid_weights(len(rest)), part, hair=True)
+    out = replace(out, carved=(len(subject.vertices), len(out.vertices)))
     return replace(out, under_hair=subject.faces[covered]) if layers else out
 
 
@@ -280,18 +277,3 @@ def under_held_head(subject: CaptureSubject, axis_angle: Float[Array, "52 3"]) -
     shoulders where they are."""
     B = skin_transforms(axis_angle, subject.joints, np.zeros(3))
     return replace(subject, vertices=skin_points(subject.vertices, subject.skin, np.linalg.inv(B[HEAD]) @ B))
-
-
-def joined(
-    subject: CaptureSubject, kept: Int[Array, "k 3"], vertices: Float[Array, "n 3"], faces: Int[Array, "faces 3"],
-    neck: float,
-) -> CaptureSubject:  # fmt: skip
-    """The subject with the `kept` of its own faces and a mesh of hair behind them."""
-    mesh, _ = compact(vertices, faces)
-    vertices = mesh.vertices
-    head = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))[HEAD]
-    rest = np.linalg.solve(head[:3, :3], (vertices - head[:3, 3]).T).T
-    skin = rigid_weights(len(vertices))
-    part = np.where(vertices[:, 1] > neck, PARTS.index("head"), PARTS.index("body"))
-    out = subject.joined(kept, mesh, rest, skin, part, hair=True)
-    return replace(out, carved=(len(subject.vertices), len(out.vertices)))

@@ -14,11 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
+from scipy import ndimage
 
 from avatar.camera import Camera, project
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, blended_transforms
 from capture.folder import CaptureSubject, PartVideo
+
+# cosine between a vertex's normal and the way to the camera, and metres of a body of metres behind what hides it
+FACING, TOLERANCE = 0.15, 0.015
 
 
 class ViewStatistics(NamedTuple):
@@ -116,18 +120,13 @@ def part_views(
 
 
 def visible_vertices(
-    points: Float[Array, "vertices 3"],
-    normals: Float[Array, "vertices 3"],
-    camera: Camera,
+    points: Float[Array, "vertices 3"], normals: Float[Array, "vertices 3"], camera: Camera,
     mask: Bool[Array, "height width"],
-    *,
-    facing: float = 0.15,
-    tolerance: float = 0.015,
-) -> Bool[Array, "vertices"]:
-    """Vertices seen by a camera: on the mask, facing it (cosine > `facing`), and not behind nearer vertices.
+) -> Bool[Array, "vertices"]:  # fmt: skip
+    """Vertices seen by a camera: on the mask, facing it (cosine > FACING), and not behind nearer vertices.
 
     Vertices are splatted into a depth buffer whose cells hold several of them, 3x3 cells each, so that a sheet
-    of vertices has no gaps. `tolerance` is in metres for a body of metres and scales with its size.
+    of vertices has no gaps.
     """
     pixels, depth = project(camera, points)
     # 1 for a person in metres; the head frame has its own unit
@@ -141,22 +140,21 @@ def visible_vertices(
     column, row = column[on].astype(int), row[on].astype(int)
 
     # a cell is as large as 1 cm at the nearest vertex, at least one pixel
-    cell = max(1.0, 0.01 * size * camera.K[0, 0] / max(float(depth[on].min()), 1e-9)) if len(on) else 1.0
+    cell = max(1.0, 0.01 * size * camera.K[0, 0] / max(float(depth[on].min(initial=np.inf)), 1e-9))
     shape = (int(height / cell) + 3, int(width / cell) + 3)
     front = on[cosine[on] > 0]
     r, c = (pixels[front, 1] / cell).astype(int) + 1, (pixels[front, 0] / cell).astype(int) + 1
     nearest = np.full(shape, np.inf)
     np.minimum.at(nearest, (r, c), depth[front])
     # the middle of a cell's 3x3 neighbourhood decides, filled where the cell itself is empty
-    padded = np.pad(nearest, 1, constant_values=np.inf)
-    around = np.min([padded[i : i + shape[0], j : j + shape[1]] for i in range(3) for j in range(3)], axis=0)
+    around = ndimage.minimum_filter(nearest, 3, mode="constant", cval=np.inf)
     nearest = np.where(np.isfinite(nearest), nearest, around)
     r, c = (pixels[on, 1] / cell).astype(int) + 1, (pixels[on, 0] / cell).astype(int) + 1
     seen = np.zeros(len(points), bool)
     # a cell of a slanted sheet is deep
-    slope = np.minimum(2 / np.maximum(cosine[on], facing), 8.0) * 0.003 * size
-    open_ = depth[on] <= nearest[r, c] + tolerance * size + slope
-    seen[on] = open_ & (cosine[on] > facing) & mask[row, column]
+    slope = np.minimum(2 / np.maximum(cosine[on], FACING), 8.0) * 0.003 * size
+    open_ = depth[on] <= nearest[r, c] + TOLERANCE * size + slope
+    seen[on] = open_ & (cosine[on] > FACING) & mask[row, column]
     return seen
 
 

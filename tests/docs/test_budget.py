@@ -11,16 +11,16 @@ BUDGET = {
     "files": 1_403,
     "command": 1_109,
     "avatar": 8_530,
-    "geometry": 1_734,
-    "capture": 12_072,
+    "geometry": 1_719,
+    "capture": 11_805,
     "train": 5_787,
     "bake": 4_383,
     "player": 18_793,
     "shaders": 1_036,
-    "synth": 2_779,
+    "synth": 2_703,
     "bench": 5_864,
     "selfscan": 394,
-    "tests": 36_018,
+    "tests": 35_937,
 }
 
 

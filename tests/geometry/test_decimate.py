@@ -98,7 +98,7 @@ def test_sheets_that_share_an_edge_are_parted_without_losing_volume(share):
         vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1, 0.2], [0.5, 1, -0.2], [0.5, -1, 0.2], [0.5, -1, -0.2]])
         one = np.array([[0, 1, 2], [1, 0, 3], [0, 2, 3], [1, 3, 2]])
         other = np.array([[1, 0, 4], [0, 1, 5], [4, 0, 5], [1, 4, 5]])
-        other, one = (f if _volume(vertices, f) > 0 else f[:, ::-1] for f in (other, one))
+        other, one = (f if enclosed_volume(TriangleMesh(vertices, f)) > 0 else f[:, ::-1] for f in (other, one))
         mesh = TriangleMesh(vertices, np.concatenate([one, other]))
     else:
         mesh = _pinched_ring()
@@ -106,10 +106,6 @@ def test_sheets_that_share_an_edge_are_parted_without_losing_volume(share):
     found = split_nonmanifold(mesh)
     assert not find_faults(found.faces, len(found.vertices))
     assert enclosed_volume(found) == pytest.approx(enclosed_volume(mesh), rel=1e-12)
-
-
-def _volume(vertices, faces):
-    return enclosed_volume(TriangleMesh(vertices, faces))
 
 
 def _pinched_ring():
@@ -126,7 +122,7 @@ def _pinched_ring():
             c, d = 4 * ((k + 1) % n) + (side + 1) % 4, 4 * ((k + 1) % n) + side
             quads += [[a, b, c], [a, c, d]]
     vertices, faces = np.array(rows), np.array(quads)
-    if _volume(vertices, faces) < 0:
+    if enclosed_volume(TriangleMesh(vertices, faces)) < 0:
         faces = faces[:, ::-1]
     for low, high in ((2, 18), (3, 19)):  # inner edge of column 0 and of column 4
         vertices[low] = vertices[high] = 0.5 * (vertices[low] + vertices[high])

@@ -5,7 +5,7 @@ from capsules import sphere
 
 from command.errors import AssetError
 from geometry.isosurface import Detail, GridSteps, Hints, extract, graded_axis, project_to_zero, sample_near_surface
-from geometry.mesh import TriangleMesh, enclosed_volume
+from geometry.mesh import TriangleMesh, area_normals, enclosed_volume
 from geometry.repair import find_faults
 
 
@@ -19,6 +19,17 @@ def test_graded_axis_is_fine_inside_its_spans_only_and_takes_the_finest_step_of_
     assert (steps[(middle < -0.6) | (middle > 0.7)] > 0.049).all()
 
 
+STEPS = GridSteps(0.008, 0.004)
+outward = lambda points: points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def around_ball(count=3000):
+    """Hints on a ball of ten centimetres, and the same with normals."""
+    facing = outward(np.random.default_rng(0).normal(size=(count, 3)))
+    hints = Hints(0.1 * facing, np.zeros(count, bool))
+    return hints, hints._replace(facing=facing)
+
+
 def test_a_detail_keeps_what_the_grid_would_lose():
     """A ridge of 2 mm on a ball, in cells of 8 mm and of 1 mm."""
     ball, _ = sphere(0.1)
@@ -28,13 +39,9 @@ def test_a_detail_keeps_what_the_grid_would_lose():
         ridge = np.maximum(ridge, 0.06 - points[:, 2])
         return np.minimum(ball(points), ridge)
 
-    normal = lambda points: points / np.linalg.norm(points, axis=1, keepdims=True)
-    hints = 0.1 * np.random.default_rng(0).normal(size=(400, 3))
-    hints = 0.1 * hints / np.linalg.norm(hints, axis=1, keepdims=True)
     detail = Detail(np.array([-0.01, -0.02, 0.09]), np.array([0.01, 0.02, 0.11]), 0.001)
-    hints, steps = Hints(hints, np.zeros(400, bool)), GridSteps(0.008, 0.004)
-    coarse, fine = (extract(distance, normal, hints, steps, details=given) for given in ((), (detail,)))
-    for found, top in ((coarse, False), (fine, True)):
+    for given, top in (((), False), ((detail,), True)):
+        found = extract(distance, outward, around_ball(400)[0], STEPS, details=given)
         assert not find_faults(found.mesh.faces, len(found.mesh.vertices))
         across = (np.abs(found.mesh.vertices[:, 1]) < 0.015) & (found.mesh.vertices[:, 2] > 0.09)
         assert (np.linalg.norm(found.mesh.vertices[across], axis=1).max() > 0.1035) == top
@@ -44,13 +51,10 @@ def test_what_a_field_makes_up_at_the_edge_of_its_box_is_air_where_hints_tell_fr
     """Nothing was learnt 3 cm off a template; without the hints' normals nobody can tell, and it is an error."""
     ball, _ = sphere(0.1)
     below = lambda points: np.minimum(ball(points), points[:, 1] + 0.125)
-    normal = lambda points: points / np.linalg.norm(points, axis=1, keepdims=True)
-    facing = normal(np.random.default_rng(0).normal(size=(3000, 3)))
-    hints, steps = Hints(0.1 * facing, np.zeros(3000, bool)), GridSteps(0.008, 0.004)
-    found = extract(below, normal, hints._replace(facing=facing), steps)
-    assert enclosed_volume(found.mesh) == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=0.02)
+    blind, hints = around_ball()
+    assert enclosed_volume(extract(below, outward, hints, STEPS).mesh) == pytest.approx(4 / 3e3 * np.pi, rel=0.02)
     with pytest.raises(AssetError, match=r"should be positive 3 cm outside the template"):
-        extract(below, normal, hints, steps)
+        extract(below, outward, blind, STEPS)
 
 
 def test_what_hangs_a_millimetre_before_the_surface_is_not_joined_to_it():
@@ -62,15 +66,9 @@ def test_what_hangs_a_millimetre_before_the_surface_is_not_joined_to_it():
     distance = lambda points: np.minimum(np.minimum(ball(points), bump(points)), lump(points))
 
     def normal(points):
-        away = points / np.linalg.norm(points, axis=1, keepdims=True)
-        return np.where((lump(points) < 0.01)[:, None], (points - [0, 0, 0.121]) / 0.02, away)
+        return np.where((lump(points) < 0.01)[:, None], (points - [0, 0, 0.121]) / 0.02, outward(points))
 
-    facing = np.random.default_rng(0).normal(size=(3000, 3))
-    facing /= np.linalg.norm(facing, axis=1, keepdims=True)
-    hints, steps = Hints(facing * 0.1, np.zeros(3000, bool)), GridSteps(0.008, 0.004)
-    joined, apart = (
-        extract(distance, normal, hints._replace(facing=given), steps, margin=0.06) for given in (None, facing)
-    )
+    joined, apart = (extract(distance, normal, hints, STEPS, margin=0.06) for hints in around_ball())
     assert joined.mesh.vertices[:, 2].max() > 0.135
     assert apart.mesh.vertices[:, 2].max() < 0.11 and not find_faults(apart.mesh.faces, len(apart.mesh.vertices))
     assert apart.mesh.vertices[:, 0].max() > 0.107
@@ -116,14 +114,10 @@ def test_person_is_one_closed_manifold_on_the_zero_set(run):
     away = np.abs(distance(surface.vertices))
     assert np.quantile(away, 0.999) < 1e-4  # metres; creases between capsules have no exact normal
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1, atol=1e-5)
-
-
-def test_normals_face_the_way_the_triangles_do(run):
-    v, f = run.surface.vertices, run.surface.faces
-    facing = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
+    # normals face the way the triangles do
+    facing = area_normals(surface.vertices, surface.faces)
     wide = np.linalg.norm(facing, axis=1) > 1e-7
-    agree = (facing * run.surface.normals[f[:, 0]]).sum(1)[wide] > 0
-    assert agree.mean() > 0.99
+    assert ((facing * surface.normals[surface.faces[:, 0]]).sum(1)[wide] > 0).mean() > 0.99
 
 
 def test_fine_points_get_a_finer_mesh():

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from icosphere import icosphere
 
 from avatar.rotation import matrix_from_axis_angle
 from avatar.texture import linear_from_srgb, srgb_from_linear
+from geometry.mesh import TriangleMesh, concatenated
 from synth.light import light_of
 from synth.room import (
     ROOM,
@@ -32,22 +34,16 @@ def plane(side: float, cells: int):
     return vertices, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def ball(radius: float, middle, rows: int = 48):
-    """A sphere of rings, facing outwards."""
-    theta, phi = np.linspace(0, np.pi, rows + 1), np.linspace(0, 2 * np.pi, 2 * rows, endpoint=False)
-    t, p = np.meshgrid(theta, phi, indexing="ij")
-    points = np.stack([np.sin(t) * np.cos(p), np.cos(t), np.sin(t) * np.sin(p)], -1).reshape(-1, 3)
-    i, j = (g.ravel() for g in np.meshgrid(np.arange(rows), np.arange(2 * rows), indexing="ij"))
-    a, b = i * 2 * rows + j, i * 2 * rows + (j + 1) % (2 * rows)
-    faces = np.concatenate([np.stack([a, b, b + 2 * rows], 1), np.stack([a, b + 2 * rows, a + 2 * rows], 1)])
-    return radius * points + middle, faces, points
+def ball(radius: float, middle):
+    """A sphere's vertices, faces and normals."""
+    vertices, faces = icosphere(radius, middle, subdivisions=5)
+    return vertices, faces, (vertices - middle) / radius
 
 
-def ball_over_plane():
-    """A ball of 10 cm, its middle 30 cm over a square of 1.6 m; the plane's vertices come first."""
-    ground, ground_faces = plane(1.6, 80)
-    points, faces, _ = ball(0.1, [0, 0.3, 0])
-    return np.concatenate([ground, points]), np.concatenate([ground_faces, faces + len(ground)]), len(ground)
+def ball_over_plane(radius: float = 0.1):
+    """A ball, its middle 30 cm over a square of 1.6 m; the plane's vertices come first."""
+    ground, ball = TriangleMesh(*plane(1.6, 80)), TriangleMesh(*icosphere(radius, [0, 0.3, 0], subdivisions=5))
+    return *concatenated([ground, ball]), len(ground.vertices)
 
 
 @pytest.mark.parametrize("direction", [(0, 1, 0), (0.6, 0.8, 0), (-0.36, 0.8, 0.48)])
@@ -103,17 +99,12 @@ def test_nothing_in_the_way_gives_the_radiance_that_is_all_round(rasteriser):
 
 def test_under_a_ball_less_of_the_sky_is_seen(rasteriser):
     """A ball at distance h over a level surface hides (r / h)^2 of its light from an even sky."""
-    ground, ground_faces = plane(1.6, 80)
-    points, faces, _ = ball(0.2, [0, 0.3, 0])
-    vertices = np.concatenate([ground, points])
-    open_to = openness(
-        rasteriser, vertices, np.concatenate([ground_faces, faces + len(ground)]), ground, np.tile(UP, (len(ground), 1))
-    )
-    lit = ambient(Room((), 1.0, 1.0, 1.0), np.tile(UP, (len(ground), 1)), open_to, UP)
+    vertices, faces, count = ball_over_plane(0.2)
+    ground, up = vertices[:count], np.tile(UP, (count, 1))
+    lit = ambient(Room((), 1.0, 1.0, 1.0), up, openness(rasteriser, vertices, faces, ground, up), UP)
     radius = np.linalg.norm(ground, axis=1)
-    assert (
-        abs(lit[radius < 0.015].mean() - (1 - (0.2 / 0.3) ** 2)) < 0.12
-    )  # 24 directions of the whole sphere, 12 above
+    # 24 directions of the whole sphere, 12 above
+    assert abs(lit[radius < 0.015].mean() - (1 - (0.2 / 0.3) ** 2)) < 0.12
     assert lit[radius > 0.75].min() > 0.9
 
 
@@ -181,13 +172,12 @@ def test_a_highlight_goes_where_the_source_is_not_seen():
 
 def test_a_triangle_that_dips_into_the_body_is_not_darkened_by_its_hidden_corner(rasteriser):
     """A strip that runs into a closed ball: its last visible vertices keep their light to the rim."""
-    points, faces, _ = ball(0.3, [0, 0, 0])
     strip, strip_faces = plane(2.0, 20)
-    strip = strip[:, [0, 1, 2]] * [1, 1, 0.2] + [1.0, 0.1, 0]
-    vertices = np.concatenate([points, strip])
-    lighting = RoomLighting(rasteriser, np.concatenate([faces, strip_faces + len(points)]))
+    strip = strip * [1, 1, 0.2] + [1.0, 0.1, 0]
+    vertices, faces = concatenated([TriangleMesh(*icosphere(0.3, subdivisions=5)), TriangleMesh(strip, strip_faces)])
+    lighting = RoomLighting(rasteriser, faces)
     room = Room((), ceiling=1.0, floor=1.0, exposure=1.0)
-    lit = lighting.on(vertices, room).irradiance[0, len(points) :]
+    lit = lighting.on(vertices, room).irradiance[0, -len(strip) :]
     inside = np.linalg.norm(strip, axis=1)
     first = (inside < 0.27) & (np.abs(strip[:, 0] - 0.2) < 0.01)
     assert lit[first].min() > 0.15  # of .5 beside a wall; buried, they would have 0

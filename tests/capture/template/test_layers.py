@@ -1,5 +1,7 @@
 """Hair as a layer of its own: a ball of skin with a block of hair at its side."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -55,11 +57,15 @@ def person() -> CaptureSubject:
                           carved=(first, len(vertices)))  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def layers() -> HairLayers:
-    found = hair_layers(person(), whole)
+def layers_of(distance) -> HairLayers:
+    found = hair_layers(person(), distance)
     assert found is not None
     return found
+
+
+@pytest.fixture(scope="module")
+def layers() -> HairLayers:
+    return layers_of(whole)
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +102,7 @@ def fringe(points):
 
 
 def test_learned_hair_above_the_rigid_height_is_hair_where_it_joins_what_was_carved():
-    layers = hair_layers(person(), fringe)
-    assert layers is not None
+    layers = layers_of(fringe)
     up = np.radians(np.linspace(50, 100, 11))
     line = np.stack([np.cos(up), np.sin(up), 0 * up], 1)
     for radius, in_body, in_hair in ((RADIUS + 0.007, False, True), (RADIUS - 0.004, True, False)):
@@ -107,8 +112,7 @@ def test_learned_hair_above_the_rigid_height_is_hair_where_it_joins_what_was_car
 
 def test_learned_bumps_apart_from_carved_hair_stay_the_bodys():
     nose = lambda points: np.minimum(whole(points), np.linalg.norm(points - [-RADIUS, 0.05, 0], axis=1) - 0.02)
-    layers = hair_layers(person(), nose)
-    assert layers is not None
+    layers = layers_of(nose)
     tip = np.array([[-RADIUS - 0.012, 0.05, 0.0]])
     body, hair = layers.divide(tip, nose(tip))
     assert body[0] < 0 < hair[0]
@@ -126,8 +130,7 @@ def test_under_hair_the_surface_is_the_balls(layers):
 
 def test_sheets_deep_inside_are_closed():
     hollow = lambda points: np.maximum(whole(points), 0.02 - np.abs(ball(points) + 0.05))
-    layers = hair_layers(person(), hollow)
-    assert layers is not None
+    layers = layers_of(hollow)
     at = np.array([[0.05, -0.04, 0.0]])  # in the hollow, under the hair's side
     assert hollow(at)[0] > 0
     assert layers.divide(at, hollow(at))[BODY][0] < 0
@@ -135,17 +138,18 @@ def test_sheets_deep_inside_are_closed():
 
 def test_normals_of_a_cut_are_the_cuts(layers):
     at = np.array([[RADIUS, -0.01, 0.0]])
-    out = layers.normal(BODY, whole, lambda points: np.tile([0.0, 0, 1], (len(points), 1)))(at)
-    assert out[0, 0] > 0.95
-    inner = np.array([[RADIUS - OVERLAP, -0.01, 0.0]])
-    out = layers.normal(HAIR, whole, lambda points: np.tile([0.0, 0, 1], (len(points), 1)))(inner)
-    assert out[0, 0] < -0.95
+    forward = lambda points: np.tile([0.0, 0, 1], (len(points), 1))
+    assert layers.normal(BODY, whole, forward)(at)[0, 0] > 0.95
+    assert layers.normal(HAIR, whole, forward)(at - [[OVERLAP, 0, 0]])[0, 0] < -0.95
 
 
-def test_far_from_hair_nothing_is_asked_of_the_grids(layers):
+def test_far_from_hair_and_outside_its_zone_all_is_the_bodys(layers):
     far = np.array([[0.5, 0.5, 0.5], [-0.4, 0, 0]])
-    body, hair = layers.divide(far, np.array([0.3, -0.1]))
-    assert body.tolist() == [0.3, -0.1] and (hair > 0).all()
+    grid = DistanceGrid(np.ones((4, 4, 4), np.float32), np.zeros(3, np.float32), 0.01)
+    alone = HairLayers(grid, grid, grid)
+    for one, points, whole in ((layers, far, [0.3, -0.1]), (alone, np.full((1, 3), 0.015), [-1.0])):
+        body, hair = one.divide(points, np.array(whole))
+        assert body.tolist() == whole and (hair > 0).all()
 
 
 def test_the_body_takes_no_weights_from_hair():
@@ -155,14 +159,4 @@ def test_the_body_takes_no_weights_from_hair():
 
 
 def test_a_bald_person_has_one_layer():
-    subject = person()
-    bald = CaptureSubject("bald", subject.rest, subject.vertices, subject.faces, subject.skin, subject.joints,
-                          subject.part, subject.hair)  # fmt: skip
-    assert hair_layers(bald, whole) is None
-
-
-def test_a_layer_outside_the_grid_of_zones_is_positive():
-    grid = DistanceGrid(np.ones((4, 4, 4), np.float32), np.zeros(3, np.float32), 0.01)
-    alone = HairLayers(grid, grid, grid)
-    body, hair = alone.divide(np.array([[0.015, 0.015, 0.015]]), np.array([-1.0]))
-    assert body[0] == -1.0 and hair[0] > 0
+    assert hair_layers(replace(person(), under_hair=np.zeros((0, 3), int)), whole) is None
