@@ -128,14 +128,14 @@ class ProgressBoard:
 
     def say(self, text: str) -> None:
         """A line that stays, above the others, on standard output."""
-        self._erase()
+        self.close()
         _Display(sys.stdout).write(text + "\n")
 
     def refresh(self, *, now: bool = False) -> None:
         """Show the lines if it is time to; call it often."""
         if now or self.clock() - self.shown >= (0.2 if self.display.live else 10.0):
             self.shown = self.clock()
-            self._erase()
+            self.close()
             lines = self.lines()
             if self.display.live:
                 width = shutil.get_terminal_size().columns - 1
@@ -145,7 +145,9 @@ class ProgressBoard:
 
     def close(self) -> None:
         """No more lines; what is on the terminal is taken away."""
-        self._erase()
+        if self.drawn:
+            self.display.write(f"\x1b[{self.drawn}A\x1b[J")
+            self.drawn = 0
 
     def lines(self) -> list[str]:
         """What is shown now."""
@@ -161,21 +163,17 @@ class ProgressBoard:
             left = self._left(job)
             line = f"{name:<{width}}  {_bar(job.last[1] / max(job.total, 1))} {job.last[1]}/{job.total}"
             out.append(f"{line}  {_left_text(left)}  {job.note}".rstrip())
-        share = self._share()
-        spent = clock_time(self.clock() - self.began)
-        out.append(f"{'all':<{width}}  {_bar(share)} {share:4.0%}  {spent} so far, {_left_text(self.left())}")
+        left, spent = self.left(), self.clock() - self.began
+        share = 0.0 if left is None else spent / max(spent + left, 1e-9)
+        out.append(f"{'all':<{width}}  {_bar(share)} {share:4.0%}  {clock_time(spent)} so far, {_left_text(left)}")
         return out
 
     def left(self) -> float | None:
         """Seconds until everything is done, or None before the first job has a speed."""
-        rates, preparations = [], []
-        for job in self.jobs.values():
-            rate = self._rate(job)
-            if rate is not None:
-                rates.append(rate)
-            if job.first is not None and job.began is not None:
-                preparations.append(job.first[0] - job.began)
-        if all(job.ended is not None for job in self.jobs.values()):
+        jobs = self.jobs.values()
+        rates = [rate for rate in map(self._rate, jobs) if rate is not None]
+        preparations = [job.first[0] - job.began for job in jobs if job.first is not None and job.began is not None]
+        if all(job.ended is not None for job in jobs):
             rates = rates or [0.0]
         if not rates:
             return None
@@ -183,7 +181,7 @@ class ProgressBoard:
         preparation = sum(preparations) / max(len(preparations), 1)
         # seconds of each job still to begin; when each worker is free
         waiting, free = [], []
-        for job in self.jobs.values():
+        for job in jobs:
             if job.ended is not None:
                 continue
             if job.began is None:
@@ -198,13 +196,8 @@ class ProgressBoard:
         heapq.heapify(free)
         for seconds in waiting:
             heapq.heapreplace(free, free[0] + seconds)
-        jobs = max(free)
-        return jobs + self.after * (jobs + self.clock() - self.began)
-
-    def _share(self) -> float:
-        left = self.left()
-        spent = self.clock() - self.began
-        return 0.0 if left is None else spent / max(spent + left, 1e-9)
+        longest = max(free)
+        return longest + self.after * (longest + self.clock() - self.began)
 
     def _rate(self, job: _Job) -> float | None:
         """Seconds per count, or None before there are two reports."""
@@ -217,11 +210,6 @@ class ProgressBoard:
         if rate is None or job.last is None:
             return None
         return max((job.total - job.last[1]) * rate - (self.clock() - job.last[0]), 0.0)
-
-    def _erase(self) -> None:
-        if self.drawn:
-            self.display.write(f"\x1b[{self.drawn}A\x1b[J")
-            self.drawn = 0
 
 
 def plural(number: int, noun: str) -> str:

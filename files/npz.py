@@ -75,9 +75,7 @@ class NpzMember:
 
     def __init__(self, npz: NpzFile, name: str):
         self.npz, self.name = npz, name
-        # an open member and the row it stands at
         self.file: Any = None
-        self.next_row = 0
         self.whole: Array | None = None
         info = npz.archive.getinfo(f"{name}.npy")
         with self._reading() as file:
@@ -109,7 +107,7 @@ class NpzMember:
                 f"{self.npz.path}: {self.name} {self.shape} should take at most {most} bytes, takes {self.header.bytes}"
             )
         with self._reading() as file:
-            _skip(file, self.header.length)
+            file.read(self.header.length)
             return _array(file, self.header)
 
     def rows(self, start: int, stop: int) -> Float[Array, "rows columns"]:
@@ -119,20 +117,18 @@ class NpzMember:
             if self.whole is None:
                 self.whole = self.all()
             return self.whole[start:stop].reshape(stop - start, self.row).astype(np.float64)
-        size = self.row * self.dtype.itemsize
+        begin = start * self.row * self.dtype.itemsize
         block = self.header._replace(shape=(stop - start, self.row), by_columns=False)
         # a signalling NaN would print a warning; who reads the rows names it
         with self._damage(), np.errstate(invalid="ignore"):
-            if self.first_at is not None and start != self.next_row:
-                self.npz.file.seek(self.first_at + start * size)
+            next_row = self.header.length if self.file is None else self.file.tell()
+            if self.first_at is not None and self.header.length + begin != next_row:
+                self.npz.file.seek(self.first_at + begin)
                 return _array(self.npz.file, block).astype(np.float64)
-            if self.file is None or start < self.next_row:
-                if self.file is not None:
-                    self.file.close()
-                self.file, self.next_row = self.npz.archive.open(f"{self.name}.npy"), 0
-                _skip(self.file, self.header.length)
-            _skip(self.file, (start - self.next_row) * size)
-            self.next_row = stop
+            if self.file is None:
+                self.file = self.npz.archive.open(f"{self.name}.npy")
+                self.file.MAX_SEEK_READ = CHUNK
+            self.file.seek(self.header.length + begin)
             return _array(self.file, block).astype(np.float64)
 
 
@@ -262,14 +258,6 @@ def _stored_at(file: io.BufferedReader, info: zipfile.ZipInfo, header: int) -> i
     file.seek(info.header_offset + 26)
     name, extra = file.read(2), file.read(2)
     return info.header_offset + 30 + int.from_bytes(name, "little") + int.from_bytes(extra, "little") + header
-
-
-def _skip(file: io.BufferedIOBase, size: int) -> None:
-    while size:
-        part = file.read(min(size, CHUNK))
-        if not part:
-            raise EOFError(f"{size} bytes are missing")
-        size -= len(part)
 
 
 @contextmanager

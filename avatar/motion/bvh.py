@@ -120,6 +120,7 @@ class Bvh:
                 positions[:, joint] = positions[:, parent] + (rotations[:, parent] @ t[..., None])[..., 0]
         return rotations, positions
 
+    @property
     def rest_positions(self) -> Float[Array, "joints 3"]:
         """Joint positions with every rotation zero and every joint at its OFFSET."""
         positions = np.array(self.offsets)
@@ -301,7 +302,7 @@ def read_bvh(path: Path | str, skeleton: RestSkeleton | None = None) -> Motion:
     bvh = open_bvh(path)
     if not is_smplh(bvh):
         return retarget(bvh, skeleton)
-    leg = leg_length(bvh.rest_positions(), {name: k for k, name in enumerate(bvh.names)})
+    leg = leg_length(bvh.rest_positions, {name: k for k, name in enumerate(bvh.names)})
     unit = next((unit for unit in UNITS if LEGS[0] < leg * unit < LEGS[1]), None)
     if unit is None:
         return retarget(bvh, skeleton)

@@ -38,12 +38,12 @@ from avatar.motion.pose_vector import (
     usual_pelvis,
 )
 from avatar.rotation import (
-    axis_angle_from_matrix,
     axis_angle_from_quaternion,
     matrix_from_axis_angle,
     matrix_from_quaternion,
     quaternion_from_axis_angle,
     quaternion_product,
+    turned,
 )
 from command.errors import AssetError
 from files.input_file import JsonObject, read_json
@@ -93,10 +93,7 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
             places = places + change @ body.joint_directions[0, :, :used].T
         R = matrix_from_axis_angle(values["Rh"])
         pelvis = values["Th"] + (R @ places[..., None])[..., 0]
-        q = quaternion_from_axis_angle(values["Rh"])
-        if pose[:, 0].any():
-            q = quaternion_product(q, quaternion_from_axis_angle(pose[:, 0]))
-        pose[:, 0] = axis_angle_from_quaternion(quaternion_product(np.broadcast_to(turn, q.shape), q))
+        pose[:, 0] = turned(pose[:, 0], turn)
         return pose, pelvis @ W.T
 
     return Motion(path.name, frames, ASSUMED_RATE, tuple(notes), block, height)
@@ -129,11 +126,6 @@ def read_fit(files: Sequence[Path], *, body: Body) -> EasyMocapFit:
     person, lengths, layout, apart = _opened(files[0], body, notes)
     values = _rows(files, person, lengths)
     pose = _joint_poses(values, layout, apart, body)
-    if pose[:, 0].any():
-        R = matrix_from_axis_angle(values["Rh"]) @ matrix_from_axis_angle(pose[:, 0])
-        pose[:, 0] = axis_angle_from_matrix(R)
-    else:
-        pose[:, 0] = values["Rh"]
     return EasyMocapFit(pose, values["Rh"], values["Th"], values.get("shapes", np.zeros((len(files), 0))), tuple(notes))
 
 
@@ -169,8 +161,13 @@ def _rows(files: Sequence[Path], person: int, lengths: dict[str, int]) -> dict[s
 def _joint_poses(
     values: dict[str, Array], layout: PoseLayout, apart: int, body: Body | None
 ) -> Float[Array, "frames 52 3"]:
-    """Axis-angle vectors of all joints; the hands' mean is added here, once."""
+    """Axis-angle vectors of all joints, the world's rotation in the root; the hands' mean is added here, once."""
     pose = expanded(values["poses"], layout, body)
+    if pose[:, 0].any():
+        q = quaternion_product(*(quaternion_from_axis_angle(v) for v in (values["Rh"], pose[:, 0])))
+        pose[:, 0] = axis_angle_from_quaternion(q)
+    else:
+        pose[:, 0] = values["Rh"]
     if apart:
         for side, key in enumerate(("handl", "handr")):
             hand = values[key]

@@ -96,12 +96,8 @@ class GltfRig:
     rate: float
     start: float  # seconds
     rest: Float[Array, "nodes 3 3"]  # world_from_bone at rest
-    rest_places: Float[Array, "nodes 3"]
+    rest_positions: Float[Array, "nodes 3"]
     ends: tuple[tuple[int, tuple[float, float, float]], ...] = ()
-
-    def rest_positions(self) -> Float[Array, "nodes 3"]:
-        """Where the nodes are at rest."""
-        return self.rest_places
 
     def values(self, start: int, stop: int) -> Float[Array, "frames 1"]:
         """The time of each frame, seconds."""
@@ -203,7 +199,7 @@ def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
     _check_scales(gltf, rig, order)
     R, at = replace(rig, channels={}).world(np.zeros(1))
     rest, places = _rest(gltf, naming, order, R[0], at[0], notes)
-    return replace(rig, rest=rest, rest_places=places)
+    return replace(rig, rest=rest, rest_positions=places)
 
 
 def _check_scales(gltf: Gltf, rig: GltfRig, order: list[int]) -> None:

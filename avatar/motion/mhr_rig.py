@@ -107,24 +107,21 @@ class MhrRig:
     parents: tuple[int, ...] = tuple(-1 if n == "pelvis" else NAMES.index(_parent(n)) for n in NAMES)
     ends: tuple[tuple[int, tuple[float, float, float]], ...] = ()
 
+    @property
     def rest_positions(self) -> Float[Array, "joints 3"]:
         """The places of the first frame: only lengths are taken from them."""
         return self.transforms(self.values(0, 1))[1][0]
 
-    def values(self, start: int, stop: int) -> Float[Array, "frames 1"]:
-        """The numbers of the frames."""
-        return np.arange(start, stop, dtype=np.float64)[:, None]
+    def values(self, start: int, stop: int) -> Float[Array, "frames 1524"]:
+        """Rotations and places of MHR's joints, as `read` gives them, in rows."""
+        return np.concatenate([part.reshape(stop - start, -1) for part in self.read(start, stop)], 1)
 
     def transforms(
-        self, values: Float[Array, "frames 1"]
+        self, values: Float[Array, "frames 1524"]
     ) -> tuple[Float[Array, "frames joints 3 3"], Float[Array, "frames joints 3"]]:
         """Axes of each joint, every limb's and finger's bone laid exactly along the joints' places."""
-        numbers = values[:, 0].astype(int)
-        pieces = [
-            self.read(int(a[0]), int(a[-1]) + 1) for a in np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
-        ]
-        R = np.concatenate([turn for turn, _ in pieces])
-        at = np.concatenate([place for _, place in pieces])
+        R = values[:, : 9 * MHR_JOINTS].reshape(-1, MHR_JOINTS, 3, 3)
+        at = values[:, 9 * MHR_JOINTS :].reshape(-1, MHR_JOINTS, 3)
         G = R[:, [turn for turn, _ in NUMBERS.values()]]
         places = at[:, [place for _, place in NUMBERS.values()]]
         for side in ("left", "right"):

@@ -42,7 +42,7 @@ class RestBones:
     """Bones at rest by the names of our joints: the rig's and the avatar's."""
 
     def __init__(self, rig: AnimatedRig, joints: JointMap, ours: Float[Array, "52 3"]):
-        self.joints, self.rest, self._ours = joints, rig.rest_positions(), ours
+        self.joints, self.rest, self._ours = joints, rig.rest_positions, ours
         self._ends = dict(rig.ends)
 
     def rig_bone(self, a: str, b: str) -> Float[Array, "3"]:
@@ -71,7 +71,7 @@ class RestBones:
 
 def rests_standing(rig: AnimatedRig, joints: JointMap) -> bool:
     """Whether the rest pose is a person's: thighs that lead away from the head, shoulders over the hips."""
-    at = rig.rest_positions()[list(joints.places.values())]
+    at = rig.rest_positions[list(joints.places.values())]
     place = dict(zip(joints.places, at, strict=True))
     hips = (place["left_hip"] + place["right_hip"]) / 2
     up, left = place["head"] - hips, place["left_hip"] - place["right_hip"]

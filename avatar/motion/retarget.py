@@ -117,7 +117,7 @@ def _along(chain: list[Array], part: float) -> Array:
 
 def _scale(rig: AnimatedRig, places: dict[str, int], ours: Array, notes: list[str]) -> float:
     """Metres of the avatar in one unit of the file, by the length of the legs."""
-    rig_leg, mine = leg_length(rig.rest_positions(), places), leg_length(ours, J)
+    rig_leg, mine = leg_length(rig.rest_positions, places), leg_length(ours, J)
     if not rig_leg > 0:
         raise AssetError(f"{rig.path}: the legs have no length")
     notes.append(f"scale: leg {rig_leg:.4g} units -> {mine:.3f} m, root scaled by {mine / rig_leg:.5g}")

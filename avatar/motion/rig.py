@@ -58,6 +58,7 @@ class AnimatedRig(Protocol):
     def transforms(
         self, values: Float[np.ndarray, "frames channels"]
     ) -> tuple[Float[np.ndarray, "frames joints 3 3"], Float[np.ndarray, "frames joints 3"]]: ...
+    @property
     def rest_positions(self) -> Float[np.ndarray, "joints 3"]: ...
 
 

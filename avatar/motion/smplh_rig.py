@@ -34,7 +34,7 @@ def is_smplh(rig: AnimatedRig) -> bool:
             above = rig.parents[above]
         if (rig.names[above] if above >= 0 else "") != (JOINTS[PARENTS[J[name]]] if J[name] else ""):
             return False
-    at = rig.rest_positions()
+    at = rig.rest_positions
     left = at[place["left_shoulder"]] - at[place["right_shoulder"]]
     up = at[place["head"]] - at[place["pelvis"]]
     upright = up[1] > 0.9 * np.linalg.norm(up) and left[0] > 0.9 * np.linalg.norm(left) > 0
@@ -88,6 +88,6 @@ def read_exactly(rig: AnimatedRig, notes: list[str], unit: float = 1.0, pelvis_h
     known = pelvis_height is not None
     if pelvis_height is None:
         usual = builtin_skeleton()
-        height = usual.pelvis_height * unit * leg_length(rig.rest_positions(), place) / leg_length(usual.joints, J)
+        height = usual.pelvis_height * unit * leg_length(rig.rest_positions, place) / leg_length(usual.joints, J)
         pelvis_height = height if height > 0 else None
     return Motion(rig.path.name, rig.frames, rig.rate, tuple(notes), block, pelvis_height, grounded=known)

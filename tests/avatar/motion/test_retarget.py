@@ -68,6 +68,7 @@ class MadeRig:
             out[k] = self.axes[PARENTS[k]].T @ (self.joints[k] - self.joints[PARENTS[k]])
         return out
 
+    @property
     def rest_positions(self):
         at = self.offsets()
         for k in range(1, 22):
