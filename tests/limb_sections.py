@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from dual_quaternions import skin_points_dual_quaternion
 from node_packages import package_folder, run_node
 
 from avatar.baked_avatar import Avatar, Level
@@ -15,7 +16,7 @@ from avatar.gltf.avatar_file import write_avatar
 from avatar.helper_joints import HelperJoints
 from avatar.motion.clip import Clip
 from avatar.skeleton import joint_transforms, rigid_inverse
-from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternion
+from avatar.skinning import SkinWeights, skin_points
 from player.scene.mannequin import mannequin
 
 WRIST = {"left": (18, 20), "right": (19, 21)}

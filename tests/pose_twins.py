@@ -22,9 +22,9 @@ from avatar.motion.mhr_rig import (
 )
 from avatar.motion.sam3d_body import FLIP
 from avatar.rotation import matrix_from_axis_angle
+from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 
-J = {name: k for k, name in enumerate(JOINTS)}
 SIDES = ("left", "right")
 LIMBS = [(f"{s}_{a}", f"{s}_{b}") for s in SIDES for a, b in (
     ("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))]  # fmt: skip

@@ -25,8 +25,3 @@ def test_an_odd_size_loses_its_last_row_and_one_texel_stays():
     np.testing.assert_array_equal(chain[1], mipmaps(image[:6, :2], 2)[1])
     mean = chain[1][:2].mean((0, 1), dtype=np.float64)
     np.testing.assert_array_equal(chain[2][0, 0], np.floor(mean + 0.5))
-
-
-def test_what_is_mapped_need_not_lie_in_one_piece():
-    image = np.random.default_rng(2).integers(0, 256, (8, 8, 8), dtype=np.uint8)
-    np.testing.assert_array_equal(mipmaps(image[..., :4], 2)[1], mipmaps(image, 2)[1][..., :4])

@@ -10,7 +10,7 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_391,
     "command": 1_097,
-    "avatar": 8_522,
+    "avatar": 8_481,
     "geometry": 1_719,
     "capture": 11_805,
     "train": 5_787,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_703,
     "bench": 5_864,
     "selfscan": 394,
-    "tests": 35_938,
+    "tests": 35_921,
 }
 
 

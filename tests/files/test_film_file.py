@@ -1,6 +1,5 @@
-"""Films of others: named containers, one file, and one line for everything else."""
+"""Films of others: named containers, one file, and one line for everything else. All who read them ask `open_film`."""
 
-import contextlib
 import os
 from pathlib import Path
 
@@ -10,11 +9,8 @@ import pytest
 from PIL import Image
 from tiny_film import film
 
-from capture.raw.video_file import open_video
 from command.errors import AssetError
 from files.input_file import open_film
-from player.effects.background import Background, opened_source
-from player.film.encoder import join
 
 LISTS = {
     "ffconcat": "ffconcat version 1.0\nfile whole.mp4\n",
@@ -28,57 +24,34 @@ LISTS = {
 }
 
 
-READERS = {
-    "open_film": open_film,
-    "raw video": open_video,
-    "background": lambda path: opened_source(Background("video", path=str(path))),
-    "part of a film": lambda path: join([(path, 5)], str(path.with_name("joined.mp4")), ".mp4", 25.0),
-}
-
-
-def refused_unopened(path: Path, monkeypatch, read) -> None:
+def refused_unopened(path: Path, monkeypatch) -> None:
     """Refused in one line that names the file, before FFmpeg has seen it."""
     with monkeypatch.context() as patch:
         patch.setattr(av, "open", lambda *_, **__: pytest.fail("FFmpeg was asked to open it"))
-        # `join` begins with the file that it writes
-        if read is READERS["part of a film"]:
-            patch.setattr(av, "open", lambda file, mode="r", **_: contextlib.nullcontext() if mode == "w" else 1 / 0)
         with pytest.raises(AssetError) as error:
-            read(path)
+            open_film(path)
     assert str(error.value).startswith(f"{path}: ") and "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize("name", LISTS)
-def test_a_list_of_other_files_is_refused_and_none_of_them_is_opened(tmp_path, monkeypatch, name, reader):
+def test_a_list_of_other_files_is_refused_and_none_of_them_is_opened(tmp_path, monkeypatch, name):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "a.mp4").write_text(LISTS[name])
-    refused_unopened(tmp_path / "a.mp4", monkeypatch, READERS[reader])
+    refused_unopened(tmp_path / "a.mp4", monkeypatch)
 
 
-@pytest.mark.parametrize("reader", READERS)
-def test_names_that_are_patterns_or_addresses_are_files(tmp_path, monkeypatch, reader):
+def test_names_that_are_patterns_or_addresses_are_files(tmp_path, monkeypatch):
     Image.new("RGB", (8, 8)).save(tmp_path / "img001.png")
     (tmp_path / "img%03d.png").write_bytes((tmp_path / "img001.png").read_bytes())
     (tmp_path / "img%03d.png").rename(tmp_path / "img%03d.mp4")
-    refused_unopened(tmp_path / "img%03d.mp4", monkeypatch, READERS[reader])
+    refused_unopened(tmp_path / "img%03d.mp4", monkeypatch)
     monkeypatch.chdir(tmp_path)
     for name in ("concat:whole.mp4|whole.mp4", "subfile,,start,0,end,0,,:whole.mp4", "pipe:0", "http:"):
         with pytest.raises(AssetError, match="no such file"):
-            READERS[reader](Path(name))
+            open_film(Path(name))
     film(tmp_path / "odd.mp4")
     os.rename("odd.mp4", "pipe:0.mp4")
     open_film("pipe:0.mp4").close()
-
-
-@pytest.mark.parametrize("reader", READERS)
-@pytest.mark.parametrize("place", ["pipe.mp4", "", "absent.mp4", "/dev/zero", "empty.mp4"])
-def test_pipes_folders_devices_and_nothing_are_refused_at_once(tmp_path, place, reader):
-    os.mkfifo(tmp_path / "pipe.mp4")
-    (tmp_path / "empty.mp4").touch()
-    reasons = r"no such file|a folder|a device, pipe or socket|an empty file|expected pictures"
-    with pytest.raises(AssetError, match=reasons):
-        READERS[reader](tmp_path / place)
 
 
 @pytest.mark.parametrize("kind", ["mp4", "mov", "mkv", "webm", "avi"])
@@ -89,12 +62,11 @@ def test_a_film_is_read_whatever_its_name(tmp_path, kind):
         assert sum(1 for _ in container.decode(video=0)) == 5
 
 
-@pytest.mark.parametrize("reader", READERS)
-def test_a_list_under_the_first_bytes_of_a_film_is_refused_by_its_decoder(tmp_path, reader):
+def test_a_list_under_the_first_bytes_of_a_film_is_refused_by_its_decoder(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "a.mp4").write_text("\0\0\0\x08ftypffconcat version 1.0\nfile pipe\n")
     with pytest.raises(AssetError, match=r"a\.mp4: expected a .*, found: "):
-        READERS[reader](tmp_path / "a.mp4")
+        open_film(tmp_path / "a.mp4")
 
 
 def test_a_sound_is_no_film(tmp_path):

@@ -1,8 +1,6 @@
 """Array files of others: numbers come back, objects are rebuilt and never run, damage is named."""
 
-import io
 import os
-import time
 
 import numpy as np
 import pytest
@@ -61,24 +59,3 @@ def test_code_in_an_array_is_not_run(tmp_path):
     ):
         read_npy(path, "cameras")
     assert not os.path.exists(place)
-
-
-@pytest.mark.parametrize(
-    "header",
-    ["{'descr': '<f8', 'fortran_order': False, 'shape': (1099511627776, 1099511627776)}",
-     "{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 2)}",
-     "{'descr': '<f8', 'fortran_order': False, 'shape': 3}",
-     "{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (1,)}",
-     "{'descr': '<f8', 'fortran_order': False, 'shape': (" + "(" * 3000 + ")}",
-     "__import__('os').system('true')",
-     "{'descr': 'V8', 'fortran_order': False, 'shape': (1,)}"],
-)  # fmt: skip
-def test_headers_that_lie_are_refused_at_once(tmp_path, header):
-    file = io.BytesIO()
-    text = header.encode() + b"\n"
-    file.write(b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + bytes(8))
-    (tmp_path / "a.npy").write_bytes(file.getvalue())
-    began = time.process_time()
-    with pytest.raises(AssetError, match=r"a\.npy: (expected )?numbers") as error:
-        read_npy(tmp_path / "a.npy", "numbers")
-    assert time.process_time() - began < 1 and "\n" not in str(error.value)

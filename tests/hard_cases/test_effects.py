@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dual_quaternions import dual_quaternion_from_transform, skin_points_dual_quaternion, transform_from_dual_quaternion
 from glsl_probe import probe
 from loose_avatar import dressed
 from loose_paths import SETTINGS, dance, gently, moved
@@ -11,12 +12,7 @@ from loose_paths import SETTINGS, dance, gently, moved
 from avatar.camera import Camera, look_at, orbit_camera, pinhole
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import BIG_POSE
-from avatar.skinning import (
-    SkinWeights,
-    dual_quaternion_from_transform,
-    skin_points_dual_quaternion,
-    transform_from_dual_quaternion,
-)
+from avatar.skinning import SkinWeights
 from player.draw.posing import Poser, dual_parts
 from player.effects.loose_motion import LONGEST, LooseMotion
 from player.effects.loose_parts import loose_parts

@@ -3,6 +3,7 @@
 import mpmath
 import numpy as np
 import pytest
+from dual_quaternions import blend_dual_quaternions, dual_quaternion_from_transform, transform_from_dual_quaternion
 
 from avatar.rotation import (
     axis_angle_from_matrix,
@@ -13,7 +14,6 @@ from avatar.rotation import (
     quaternion_from_axis_angle,
     slerp,
 )
-from avatar.skinning import blend_dual_quaternions, dual_quaternion_from_transform, transform_from_dual_quaternion
 
 AXES = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, -2, 3], [1e-3, 1, -1e-3], [-1, -1, -1], [1, 1, 0]])
 AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from dual_quaternions import skin_points_dual_quaternion
 from limb_sections import fine_mannequin, posed, section_areas, turned
 
 from avatar.body import builtin_body
@@ -13,7 +14,6 @@ from avatar.skinning import (
     blended_transforms,
     dense_weights,
     skin_points,
-    skin_points_dual_quaternion,
     strongest_four,
     unskin_points,
 )

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from angles import angles_between
 from node_packages import package_folder, run_node
 from tiny_avatar import join_glb, same, split_glb, tiny_avatar
 
@@ -32,18 +33,20 @@ def wild_clip(frames=40, seed=3) -> Clip:
     return Clip(axis_angle, rng.normal(size=(frames, 3)), 30.0, (), 0.98)
 
 
-def angle_between(a, b):
-    """Degrees between axis-angle rotations; exact for small ones."""
-    q, p = quaternion_from_axis_angle(a), quaternion_from_axis_angle(b)
-    sign = np.where((q * p).sum(-1, keepdims=True) < 0, -1, 1)
-    return np.degrees(4 * np.arcsin(np.clip(np.linalg.norm(q - sign * p, axis=-1) / 2, 0, 1)))
-
-
 @pytest.fixture
 def avatar_path(tmp_path):
     path = tmp_path / "tiny.glb"
     write_avatar(path, tiny_avatar())
     return path
+
+
+@pytest.fixture
+def tall_path(avatar_path):
+    """With soles where a person's legs end, as BVH asks."""
+    avatar = tiny_avatar()
+    tall = tuple(replace(level, positions=np.float32(0.45) * level.positions) for level in avatar.levels)
+    write_avatar(avatar_path, replace(avatar, levels=tall))
+    return avatar_path
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.01])
@@ -54,7 +57,7 @@ def test_bvh_comes_back_within_a_thousandth_of_a_degree(tmp_path, unit):
     motion = read_motion(tmp_path / "wild.bvh")
     back = motion.read()
     assert motion.frames == 40 and motion.rate == pytest.approx(30, rel=1e-12)
-    assert angle_between(back.axis_angle, clip.axis_angle).max() < 1e-3
+    assert np.degrees(angles_between(back.axis_angle, clip.axis_angle)).max() < 1e-3
     np.testing.assert_allclose(back.root, clip.root, atol=1e-6)
     assert back.pelvis_height == pytest.approx(clip.pelvis_height, abs=1e-7)
 
@@ -101,7 +104,7 @@ def test_the_animated_avatar_is_read_back_as_motion_and_as_the_same_avatar(avata
     motion = read_motion(out)
     back = motion.read()
     assert (motion.frames, motion.rate, back.pelvis_height) == (40, 30.0, 0.98)
-    assert np.radians(angle_between(back.axis_angle, clip.axis_angle)).max() < 1e-4
+    assert angles_between(back.axis_angle, clip.axis_angle).max() < 1e-4
     # a metre a frame; float32 seconds put a key up to 4e-6 of a frame beside its time
     np.testing.assert_allclose(back.root, clip.root, atol=1e-5)
     assert same(read_avatar(out), read_avatar(avatar_path))
@@ -208,37 +211,31 @@ def test_npz_out_and_in_is_exact_and_exporting_again_changes_nothing(avatar_path
     assert "40 frames at 30 per second (1.3 s)" in capsys.readouterr().out
 
 
-def test_every_kind_says_the_same_and_fits_the_avatar_it_was_made_for(avatar_path, tmp_path, capsys):
-    avatar = tiny_avatar()
-    tall = tuple(replace(level, positions=np.float32(0.45) * level.positions) for level in avatar.levels)
-    write_avatar(avatar_path, replace(avatar, levels=tall))  # soles where a person's legs end, as BVH asks
+def test_every_kind_says_the_same_and_fits_the_avatar_it_was_made_for(tall_path, tmp_path, capsys):
     clips = {}
     for kind in ("npz", "bvh", "glb"):
         out = tmp_path / f"out.{kind}"
-        assert export(avatar_path, "--motion", "walking", "--frames", ":30", "--hands", "relaxed", "-o", out) == 0
+        assert export(tall_path, "--motion", "walking", "--frames", ":30", "--hands", "relaxed", "-o", out) == 0
         clips[kind] = read_motion(out).read()
     for kind in ("bvh", "glb"):
-        assert angle_between(clips[kind].axis_angle, clips["npz"].axis_angle).max() < 1e-3
+        assert np.degrees(angles_between(clips[kind].axis_angle, clips["npz"].axis_angle)).max() < 1e-3
         np.testing.assert_allclose(clips[kind].root, clips["npz"].root, atol=1e-6)
         assert clips[kind].pelvis_height == pytest.approx(clips["npz"].pelvis_height, abs=1e-7)
     # fitted again to the same avatar nothing is scaled
     capsys.readouterr()
-    assert export(avatar_path, "--motion", tmp_path / "out.bvh", "-o", tmp_path / "again.glb") == 0
+    assert export(tall_path, "--motion", tmp_path / "out.bvh", "-o", tmp_path / "again.glb") == 0
     assert "root: scaled by 1.000" in capsys.readouterr().out
 
 
-def test_a_motion_of_an_unknown_body_is_not_scaled_when_its_export_is_read_back(avatar_path, tmp_path, capsys):
-    avatar = tiny_avatar()
-    tall = tuple(replace(level, positions=np.float32(0.45) * level.positions) for level in avatar.levels)
-    write_avatar(avatar_path, replace(avatar, levels=tall))
+def test_a_motion_of_an_unknown_body_is_not_scaled_when_its_export_is_read_back(tall_path, tmp_path, capsys):
     pose = np.zeros((4, 156))
     pose[:, 0] = np.pi / 2
     np.savez(tmp_path / "in.npz", poses=pose, trans=np.tile([0.2, 0.3, 0.9], (4, 1)), mocap_framerate=30.0)
     for kind in ("bvh", "npz", "glb"):
         capsys.readouterr()
-        assert export(avatar_path, "--motion", tmp_path / "in.npz", "-o", tmp_path / f"out.{kind}") == 0
+        assert export(tall_path, "--motion", tmp_path / "in.npz", "-o", tmp_path / f"out.{kind}") == 0
         assert "root: not scaled" in capsys.readouterr().out
-        assert export(avatar_path, "--motion", tmp_path / f"out.{kind}", "-o", tmp_path / "again.npz") == 0
+        assert export(tall_path, "--motion", tmp_path / f"out.{kind}", "-o", tmp_path / "again.npz") == 0
         assert "root: scaled by 1.000" in (said := capsys.readouterr().out) and "ground:" not in said
 
 

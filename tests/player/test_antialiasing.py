@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dual_quaternions import skin_points_dual_quaternion
 from PIL import Image
 
 from avatar.camera import orbit_camera, project
 from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import skin_points, skin_points_dual_quaternion
+from avatar.skinning import skin_points
 from player.draw.posing import Poser, posed_vertices, screen_bounds
 from player.effects import antialiasing as fxaa_pass
 from player.effects.background import Background

@@ -2,10 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dual_quaternions import skin_points_dual_quaternion
 
 from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import skin_points, skin_points_dual_quaternion
+from avatar.skinning import skin_points
 from avatar.texture import sample_texture
 from player.draw.plan import Absent, Canvas, Stage
 from player.draw.posing import posed_vertices

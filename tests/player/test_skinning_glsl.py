@@ -2,18 +2,13 @@
 
 import numpy as np
 import pytest
+from dual_quaternions import dual_quaternion_from_transform, skin_points_dual_quaternion
 from glsl_probe import probe
 
 from avatar.body import builtin_body
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import skin_transforms
-from avatar.skinning import (
-    SkinWeights,
-    blended_rotations,
-    dual_quaternion_from_transform,
-    skin_points,
-    skin_points_dual_quaternion,
-)
+from avatar.skinning import SkinWeights, blended_rotations, skin_points
 from player.draw.posing import PosedBones, dual_parts
 
 POINT = "vec4(skinned(point, joints, weights), 0.0)"

@@ -10,10 +10,9 @@ from avatar.motion.ground import on_ground
 from avatar.motion.read import read_motion
 from avatar.motion.rig import side_and_base
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
+from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.errors import AssetError
-
-J = {name: index for index, name in enumerate(JOINTS)}
 
 # our joint -> joint of the file, written out here by hand: the test's own word on what the names mean
 CMU = {"left_hip": "LeftUpLeg", "left_knee": "LeftLeg", "left_ankle": "LeftFoot", "left_shoulder": "LeftArm",

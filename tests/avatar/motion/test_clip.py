@@ -10,12 +10,11 @@ from avatar.motion.clip import Clip, fitted, resample
 from avatar.motion.fingers import hand_pose, relaxed_hands
 from avatar.motion.read import BUILTIN_MOTIONS, builtin_motion, read_motion
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
-from avatar.skeleton import JOINTS, PARENTS, joint_transforms, skin_transforms
+from avatar.skeleton import JOINT_NUMBERS as J
+from avatar.skeleton import PARENTS, joint_transforms, skin_transforms
 from avatar.skinning import skin_points
 from command.errors import AssetError
 from experiments.builtin_motions import AUTHORED
-
-J = {name: index for index, name in enumerate(JOINTS)}
 
 
 def spin(frames: int, rate: float, speed: float) -> Clip:

@@ -13,12 +13,11 @@ from avatar.motion.clip import RestSkeleton
 from avatar.motion.read import builtin_motion
 from avatar.motion.retarget import retarget
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
+from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.errors import AssetError
 
-J = {name: index for index, name in enumerate(JOINTS)}
 PEOPLE = ("White_M_1", "White_F_1", "Black_M_2", "Asian_F_2")
-BODY = list(range(22))
 MIXAMO = {
     "pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "neck": "Neck", "head": "Head",
     "hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "foot": "ToeBase", "collar": "Shoulder", "shoulder": "Arm",
@@ -42,14 +41,8 @@ class MadeRig:
     path: Path = Path("made.bvh")
     rate: float = 30.0
     ends = ()
-
-    @property
-    def names(self):
-        return tuple(exporter_name(JOINTS[k]) for k in BODY)
-
-    @property
-    def parents(self):
-        return tuple(int(p) for p in PARENTS[:22])
+    names = tuple(exporter_name(joint) for joint in JOINTS[:22])
+    parents = tuple(int(p) for p in PARENTS[:22])
 
     @property
     def frames(self):
@@ -180,7 +173,7 @@ def test_a_stick_in_a_file_is_read_with_bending_knees_and_flat_feet(tmp_path, wi
         tmp_path / "stick.bvh", MadeRig(joints, R, at, stick_axes(joints, mirrored=True, rolls=(0.3, 2, 1, -1)))
     )
     bvh = open_bvh(tmp_path / "stick.bvh")
-    order = [bvh.names.index(exporter_name(JOINTS[k])) for k in BODY]
+    order = [bvh.names.index(exporter_name(JOINTS[k])) for k in range(22)]
     np.testing.assert_allclose(bvh.transforms(bvh.values(0, 48))[1][:, order], at, atol=1e-4)
     clip, source = read_bvh(tmp_path / "stick.bvh").read(), builtin_motion("walking").read()
     knees = clip.axis_angle[:, [J["left_knee"], J["right_knee"]]]
