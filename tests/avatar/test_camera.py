@@ -16,7 +16,6 @@ from avatar.camera import (
     write_camera,
     write_cameras,
 )
-from command.errors import AssetError
 
 
 @pytest.fixture
@@ -75,20 +74,3 @@ def test_files_round_trip(camera, tmp_path):
         np.testing.assert_array_equal(again.camera_from_world, camera.camera_from_world)
         np.testing.assert_array_equal(again.distortion, camera.distortion)
         assert again.size == camera.size
-
-
-@pytest.mark.parametrize("change, message", [
-    ({"K": [[0, 0, 1], [0, 1, 1], [0, 0, 1]]}, "focal length should be positive"),
-    ({"camera_from_world": np.diag([1.0, 1, -1, 1]).tolist()}, "should hold a rotation"),
-    ({"size": [0, 5]}, "size should be"),
-    ({"K": "x"}, "K should be numbers"),
-    ({"K": [[1, 2], [3]]}, "K should be numbers"),
-])  # fmt: skip
-def test_a_bad_camera_file_is_refused_by_field(camera, tmp_path, change, message):
-    import json
-
-    write_camera(tmp_path / "c.json", camera)
-    content = json.loads((tmp_path / "c.json").read_text()) | change
-    (tmp_path / "c.json").write_text(json.dumps(content))
-    with pytest.raises(AssetError, match=message):
-        read_camera(tmp_path / "c.json")

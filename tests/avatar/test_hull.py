@@ -5,6 +5,7 @@ from memory_use import at_most
 
 from avatar.body import builtin_body
 from avatar.hull import CHUNK, body_hull, lowest_points, outermost, posed_hull
+from avatar.rotation import fibonacci_sphere
 
 
 def test_outermost_points_are_those_of_one_product_however_many_there_are():
@@ -15,11 +16,7 @@ def test_outermost_points_are_those_of_one_product_however_many_there_are():
     # 64 directions leave gaps of 20 degrees: what is cut off is small beside the cloud
     missed = (points @ directions.T).max(0) - (points[chosen] @ directions.T).max(0)
     assert missed.min() >= 0 and missed.max() < 0.8
-    n = np.arange(64) + 0.5
-    height, turn = 1 - 2 * n / 64, np.pi * (1 + 5**0.5) * n
-    flat = np.sqrt(1 - height * height)
-    along = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)], 1)
-    assert set(np.argmax(points @ along.T, axis=0)) == set(chosen)
+    assert set(np.argmax(points @ fibonacci_sphere(64).T, axis=0)) == set(chosen)
 
 
 def test_the_points_of_a_long_film_take_little_memory():

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import pytest
 
 from command.command_line import Help, Hidden, Option, OptionGroup, parse, parser_of
-from command.settings import LARGEST_INTEGER, Above, AtLeast, AtMost, OneOf, check, settings_json, settings_of
+from command.settings import LARGEST_INTEGER, Above, AtLeast, AtMost, OneOf, check, settings_json
 
 ABOUT = Help("selfscan try", "Tries settings.", "example: selfscan try a b")
 
@@ -113,12 +113,6 @@ def test_records_made_in_code_obey_the_same_limits():
         Try(Path("a"), Path("b"), rate=float("inf"))
     with pytest.raises(ValueError, match="count: expected at most 9007199254740992, found a number of 17 digits"):
         Try(Path("a"), Path("b"), count=LARGEST_INTEGER * 10)
-
-
-def test_optional_fields_know_their_type():
-    kinds = {setting.name: (setting.type, setting.optional) for setting in settings_of(Try)}
-    assert kinds["seconds"] == (float, True) and kinds["rate"] == (float, False)
-    assert kinds["more"] == (tuple[str, ...], False)
 
 
 def test_settings_become_json():

@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_703,
     "bench": 5_864,
     "selfscan": 394,
-    "tests": 35_921,
+    "tests": 35_830,
 }
 
 

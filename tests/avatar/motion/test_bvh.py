@@ -9,7 +9,7 @@ from avatar.motion.bvh import open_bvh, read_bvh
 from avatar.motion.ground import on_ground
 from avatar.motion.read import read_motion
 from avatar.motion.rig import side_and_base
-from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
+from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.errors import AssetError
@@ -81,17 +81,13 @@ def test_no_joint_turns_faster_than_in_the_file(name, data):
     path = data / "bvh" / f"{name}.bvh"
     bvh = open_bvh(path)
     R, _ = bvh.transforms(bvh.values(0, bvh.frames))
-    clip, G = ours(read_bvh(path))
+    _, G = ours(read_bvh(path))
     left = RIGS[name]
     for joint, theirs in (left | {o.replace("left", "right"): other_side(t) for o, t in left.items()}).items():
         mine, file = G[:, J[joint], :3, :3], R[:, bvh.names.index(theirs)]
         mine = np.trace(np.swapaxes(mine[:-1], 1, 2) @ mine[1:], axis1=1, axis2=2)
         file = np.trace(np.swapaxes(file[:-1], 1, 2) @ file[1:], axis1=1, axis2=2)
         np.testing.assert_allclose(mine, file, atol=1e-9)
-    if bvh.rate > 100:
-        q = quaternion_from_axis_angle(clip.axis_angle[1:])  # frame 0 may be a calibration pose
-        cosine = np.abs((q[1:] * q[:-1]).sum(-1))
-        assert np.degrees(2 * np.arccos(np.clip(cosine, 0, 1))).max() < 45
 
 
 @pytest.mark.parametrize("name", RIGS)

@@ -36,7 +36,10 @@ def folder(tmp_path, frames, wrap=lambda people: people):
 
 @pytest.mark.parametrize("wrap", [lambda p: p, lambda p: {"annots": p}, lambda p: p[0]], ids=["list", "annots", "one"])
 def test_joints_stand_where_easymocap_puts_them(tmp_path, wrap, within):
-    """X = R(Rh) X_pose + Th, with X_pose standard SMPL of the shaped body: its joints, not only its pelvis."""
+    """X = R(Rh) X_pose + Th, with X_pose standard SMPL of the shaped body: its joints, not only its pelvis.
+
+    156 numbers are hands in full: nothing of the model's is added.
+    """
     body = model_body(tmp_path)
     frames = [[person(seed=k)] for k in range(4)]
     clip = read_motion(folder(tmp_path / "smplh", frames, wrap), body=body).read()
@@ -121,13 +124,6 @@ def test_more_coefficients_than_the_model_has_are_refused(tmp_path):
     one = person(63, handl=[[0.0] * 12], handr=[[0.0] * 12])
     with pytest.raises(AssetError, match="handl has 12 numbers"):
         read_easymocap(folder(tmp_path / "a", [[one]]), body=body)
-
-
-def test_full_hands_get_no_mean_on_top(tmp_path):
-    """156 numbers: EasyMocap passes them through as they are."""
-    body, one = model_body(tmp_path), person(156)
-    clip = read_easymocap(folder(tmp_path / "a", [[one]]), body=body).read()
-    np.testing.assert_allclose(clip.axis_angle[0, 22:].reshape(-1), one["poses"][0][66:], atol=1e-15)
 
 
 def test_the_lowest_of_several_people_is_read(tmp_path):
