@@ -2,12 +2,13 @@
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer
+from jaxtyping import Float, Integer
 from scipy.spatial import KDTree
 
 from avatar.gltf.avatar_file import Avatar, write_avatar
@@ -17,13 +18,19 @@ from avatar.skeleton import BIG_POSE, PARTS
 from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
+from bake.cores import on_all_cores, one_thread
 from bake.field import NumpyField, numpy_field
 from bake.layers import SurfaceLayer, collapsed, extract_layers, layered_data, layers_of
 from bake.level import (
     BakedLevel,
+    Charted,
+    FieldTexels,
+    LayeredMesh,
     PlacesOnFinest,
     SourceSurface,
+    TransferredData,
     bake_level,
+    enlarged,
     enlargements,
     field_picture,
     field_texels,
@@ -41,6 +48,7 @@ from bake.options import BakeOptions
 from bake.promises import Facts, missed_promises
 from bake.run_capture import RunVideos, run_videos
 from bake.texture.pixel_reads import view_change
+from bake.texture.texels import TexelMap, rasterise_charts
 from bake.texture.video_texture import with_video_textures
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
 from bake.twist import with_twist
@@ -83,6 +91,7 @@ def bake(
     return bake_run(run.bake_source, Path(out), options, progress, true, videos)
 
 
+@one_thread()
 def bake_run(
     run: BakeSource,
     out: Path,
@@ -124,17 +133,18 @@ def bake_run(
         provenance={**run.provenance, "baked": facts},
         light=avatar_light(run.world_light, run.provenance),
     )
-    # with the field's own textures, whatever the file will hold
-    facts["against_field"] = compared_with_field(avatar, field_surface(run, origin, field), options, clock)
-    if videos is not None:
-        change = view_change(field, levels[0].charted, distilled)
-        levels, facts["videos"] = with_video_textures(levels, baked.places, joints, videos, clock.report, change)
-        avatar = replace(avatar, levels=tuple(level.level for level in levels))
-        sight = in_sight(run.subject, origin)
-        unseen = unseen_places(origin.vertices, origin.faces, run.surface.skin, run.surface.view_count, sight)
-        facts["unseen"] = [place.line() for place in unseen]
-        for line in facts["unseen"]:
-            clock.report(f"  {line}")
+    with ThreadPoolExecutor(1) as beside:
+        # with the field's own textures, whatever the file will hold
+        views = measure.test_views(joints, options.image)
+        comparing = beside.submit(measure.compare, avatar, field_surface(run, origin, field), views)
+        if videos is not None:
+            change = view_change(field, levels[0].charted, distilled)
+            levels, facts["videos"] = with_video_textures(levels, baked.places, joints, videos, clock.report, change)
+            avatar = replace(avatar, levels=tuple(level.level for level in levels))
+            facts["unseen"] = unseen_lines(run, origin)
+            for line in facts["unseen"]:
+                clock.report(f"  {line}")
+        facts["against_field"] = field_facts(comparing.result(), options, clock)
     facts["levels"] = [level.facts for level in levels]
     steps = " / ".join(f"{level.facts['seam_step']['seen_p99']:.1f}" for level in levels)
     clock(f"textures from the {facts['texture_from']}: chart edges step p99 {steps} of 255 beyond the picture's own")
@@ -173,12 +183,14 @@ def extracted(
     return layers, extraction
 
 
-def in_sight(subject: CaptureSubject, surface: SourceSurface) -> Bool[np.ndarray, "faces"] | None:
-    """Faces of a surface that loose clothes do not hide; None: all, there are none."""
-    if subject.behind_cloth is None:
-        return None
-    nearest = KDTree(subject.vertices).query(surface.vertices, workers=-1)[1]
-    return ~subject.behind_cloth[nearest][surface.faces].all(1)
+def unseen_lines(run: BakeSource, surface: SourceSurface) -> list[str]:
+    """What hardly any frame shows of the surface, but what loose clothes hide."""
+    in_sight, behind = None, run.subject.behind_cloth
+    if behind is not None:
+        nearest = KDTree(run.subject.vertices).query(surface.vertices, workers=-1)[1]
+        in_sight = ~behind[nearest][surface.faces].all(1)
+    found = unseen_places(surface.vertices, surface.faces, run.surface.skin, run.surface.view_count, in_sight)
+    return [place.line() for place in found]
 
 
 def written(avatar: Avatar, out: Path, facts: Facts, options: BakeOptions, clock: "_Clock") -> Avatar:
@@ -291,41 +303,64 @@ def bake_levels(
     The edges of charts are closed where the textures stay the field's; else they are in the videos' equations.
     """
     parts = enlargements(joints, options, field.details)
-    levels: list[BakedLevel] = []
+    surfaces: list[tuple[LayeredMesh, TransferredData, int]] = []
     mesh, layer = extraction.mesh, extraction.layer
     for count, size in level_plan(options):
         # each out of the one before
         surface = collapsed(mesh, layer, layers, count, parts, clock.report)
         mesh, layer = surface.mesh, surface.layer
-        data = layered_data(origin, surface.mesh, surface.normals, surface.layer)
-        levels.append(bake_level(surface, data, field, size, options))
-        facts = levels[-1].facts
-        clock(
-            f"level {len(levels) - 1}: {facts['faces']} triangles, {facts['charts']} charts in {size} px, "
-            f"{facts['field_to_mesh_mm']['mean']:.3f} mm from the field"
-        )
-    finest, by_field = levels[0], options.texture_from == "field"
-    placed = field_texels(field, finest.charted, options.texture)
-    picture = field_picture(field, finest.charted, placed, options.texel_samples if by_field else 1)
-    clock(f"colors of the field at {len(placed.texels.index) / 1e6:.1f} M texels")
-    distilled = distil(
-        field.color,
-        surface_points(field, finest.level, origin, options),
-        high=options.quality == "high",
-        seed=options.seed,
-        steps=options.steps,
-        report=clock.report,
-    )
+        surfaces.append((surface, layered_data(origin, mesh, surface.normals, layer), size))
+
+    def distilled_finest() -> Distilled:
+        surface, data, _ = surfaces[0]
+        points = surface_points(field, surface, data, options)
+        high, seed = options.quality == "high", options.seed
+        return distil(field.color, points, high=high, seed=seed, steps=options.steps, report=clock.report)
+
+    def leveled(one: tuple[LayeredMesh, TransferredData, int]) -> BakedLevel:
+        surface, data, size = one
+        return bake_level(surface, data, field, size, options)
+
+    levels: list[BakedLevel] = []
+    with ThreadPoolExecutor(1) as beside:
+        distilling = beside.submit(distilled_finest)
+        for level in on_all_cores(leveled, surfaces):
+            facts = level.facts
+            clock(
+                f"level {len(levels)}: {facts['faces']} triangles, {facts['charts']} charts in {facts['texture']} px, "
+                f"{facts['field_to_mesh_mm']['mean']:.3f} mm from the field"
+            )
+            levels.append(level)
+        half, texels, picture = field_atlas(field, levels[0].charted, options)
+        clock(f"colors of the field for {len(texels.index) / 1e6:.1f} M texels")
+        places = [places_on_finest(level, levels[0]) for level in levels[1:]]
+        distilled = distilling.result()
     clock(f"view dependence: the richest mode worth its place is {distilled.default_view}")
     # the field's picture is where the videos' solution begins: its chart edges are in their equations
-    colored = with_picture if by_field else with_prior
-    levels[0] = colored(with_features(finest, picture, distilled, field), picture, placed.texels)
-    places = [places_on_finest(baked, finest) for baked in levels[1:]]
-    for number, place in enumerate(places, 1):
-        baked = colored(levels[number], place.read(picture), place.texels)
-        levels[number] = with_features_of(baked, levels[0].level.features, place)
-    clock("colors and features of the coarser levels")
+    colored = with_picture if options.texture_from == "field" else with_prior
+    levels[0] = colored(with_features(levels[0], picture, half, distilled), picture, texels)
+
+    def coarser(placed: tuple[BakedLevel, PlacesOnFinest]) -> BakedLevel:
+        level, place = placed
+        level = colored(level, place.read(picture), place.texels)
+        return with_features_of(level, levels[0].level.features, place)
+
+    levels[1:] = on_all_cores(coarser, zip(levels[1:], places, strict=True))
+    clock("colors and features of all levels")
     return BakedLevels(levels, places, distilled)
+
+
+def field_atlas(
+    field: NumpyField, finest: Charted, options: BakeOptions
+) -> tuple[FieldTexels, TexelMap, Float[np.ndarray, "size size 3"]]:
+    """The texels of the finest level with half as many a side, and with all of them, and its picture by the field."""
+    half = field_texels(field, finest, options.texture // 2)
+    if options.texture_from == "field":
+        whole = field_texels(field, finest, options.texture)
+        return half, whole.texels, field_picture(field, finest, whole, options.texel_samples)
+    # the videos' solution begins there, with finer texels than the field's grids are
+    texels = rasterise_charts(finest.uv, finest.faces, options.texture)
+    return half, texels, enlarged(field_picture(field, finest, half, 1), texels)
 
 
 def field_surface(run: BakeSource, origin: SourceSurface, field: NumpyField) -> measure.FieldSurface:
@@ -341,9 +376,8 @@ def field_surface(run: BakeSource, origin: SourceSurface, field: NumpyField) -> 
     )
 
 
-def compared_with_field(avatar: Avatar, drawn: measure.FieldSurface, options: BakeOptions, clock: "_Clock") -> Facts:
+def field_facts(score: measure.BakeScore, options: BakeOptions, clock: "_Clock") -> Facts:
     """What baking lost, in decibels, as the file's provenance says it."""
-    score = measure.compare(avatar, drawn, measure.test_views(drawn.joints, options.image))
     worst = min(score.per_view, key=lambda name: score.per_view[name])
     clock(
         f"baked paper mode against the field: {score.paper_db:.1f} dB over {len(score.per_view)} pictures of "

@@ -1,8 +1,6 @@
 """The field that is baked: asked with NumPy arrays, in pieces."""
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +8,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from bake.cores import on_all_cores
 from geometry.isosurface import Detail
 from train.fused import CanonicalField
 
@@ -39,8 +38,7 @@ def numpy_field(field: CanonicalField, *, piece: int = 1 << 15) -> NumpyField:
             return function(*tensors).detach().cpu().numpy().astype(np.float64)
 
         # a piece for each core: within one, most of the time is spent between torch's own parallel loops
-        with ThreadPoolExecutor(os.cpu_count()) as cores:
-            pieces = list(cores.map(answer, range(0, len(arrays[0]), piece)))
+        pieces = list(on_all_cores(answer, range(0, len(arrays[0]), piece)))
         return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
     seen, lit = field.seen_light, field.light_normal

@@ -209,6 +209,12 @@ def field_picture(
     return spread(sample_texels(color_at, placed.texels, samples=samples), placed.texels)
 
 
+def enlarged(image: Float[Array, "half half 3"], texels: TexelMap) -> Float[Array, "size size 3"]:
+    """An atlas made anew for the texels of a larger one."""
+    row, column = np.divmod(texels.index, texels.size)
+    return spread(sample_texture(image, (np.stack([column, row], 1) + 0.5) / texels.size), texels)
+
+
 def with_picture(baked: BakedLevel, picture: Float[Array, "size size 3"], texels: TexelMap) -> BakedLevel:
     """The level with a picture as its base color, its chart edges closed in every mip that the player draws."""
     image = solve_seams(picture, texels, baked.charted.uv, baked.edges, mip_levels(picture.shape))
@@ -343,28 +349,27 @@ def seam_facts(level: Level, edges: ChartEdges, picture: UInt8[Array, "size size
     return {key: max(mip[key] for mip in mips) for key in ("median", "p99", "seen_p99")} | {"mips": mips}
 
 
-def surface_points(field: NumpyField, level: Level, origin: SourceSurface, options: BakeOptions) -> SurfacePoints:
+def surface_points(
+    field: NumpyField, surface: LayeredMesh, data: TransferredData, options: BakeOptions
+) -> SurfacePoints:
     """Points of the finest level for the network: head and hands count four times their area."""
-    mesh = TriangleMesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
-    match = match_surface(mesh.vertices, level.normals.astype(np.float64), origin.vertices, origin.faces)
-    part = origin.part[origin.faces[match.face, 0]]
-    importance = np.where(part[mesh.faces[:, 0]] != PARTS.index("body"), 4.0, 1.0)
+    mesh = surface.mesh
+    importance = np.where(data.part[mesh.faces[:, 0]] != PARTS.index("body"), 4.0, 1.0)
     face, weight = stratified_samples(*mesh, options.samples, seed=options.seed + 1, weight=importance)
     corners = mesh.faces[face]
-    normals = unit_or_zero(blended(level.normals, corners, weight))
+    normals = unit_or_zero(blended(surface.normals, corners, weight))
     points = blended(mesh.vertices, corners, weight)
     points, _ = project_to_zero(field.distance, points, normals, reach=0.004, steps=2)
-    local = interpolated(cone_of(level), corners, weight)
+    local = interpolated(data.cone, corners, weight)
     return SurfacePoints(points, normals, field.color(points, local.direction), local)
 
 
 def with_features(
-    baked: BakedLevel, picture: Float[Array, "size size 3"], distilled: Distilled, field: NumpyField
+    baked: BakedLevel, picture: Float[Array, "size size 3"], half: FieldTexels, distilled: Distilled
 ) -> BakedLevel:
-    """The finest level, which the field colors as in `picture`, with its feature texture, half as wide."""
+    """The finest level, which the field colors as in `picture`, with its feature texture, `half` as wide."""
     if distilled.features is None:
         return baked
-    half = field_texels(field, baked.charted, len(picture) // 2)
     base, values = halved(picture).reshape(-1, 3)[half.texels.index], []
     for rows in np.split(np.arange(len(base)), range(PIECE, len(base), PIECE)):
         points, facing, local = half.points(baked.charted, rows, np.zeros(2))

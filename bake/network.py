@@ -83,10 +83,15 @@ class FeatureEncoder(nn.Module):
             nn.Linear(width, features),
         )
 
-    def forward(self, surface: Float[torch.Tensor, "n 12"]) -> Float[torch.Tensor, "n features"]:
-        position = surface[:, :3]
-        waves = [f(position * (torch.pi * 2**k)) for k in range(self.octaves) for f in (torch.sin, torch.cos)]
-        value = torch.sigmoid(self.layers(torch.cat([surface, *waves], 1)))
+    def inputs(self, surface: SurfacePoints) -> Float[torch.Tensor, "n inputs"]:
+        """What the layers are given of points of the surface."""
+        columns = [surface.points, surface.normals, surface.base, surface.cone.direction]
+        plain = torch.from_numpy(np.concatenate(columns, 1).astype(np.float32))
+        waves = [f(plain[:, :3] * (torch.pi * 2**k)) for k in range(self.octaves) for f in (torch.sin, torch.cos)]
+        return torch.cat([plain, *waves], 1)
+
+    def forward(self, inputs: Float[torch.Tensor, "n inputs"]) -> Float[torch.Tensor, "n features"]:
+        value = torch.sigmoid(self.layers(inputs))
         return value + (torch.round(value * 255) / 255 - value).detach()
 
 
@@ -148,7 +153,7 @@ def distil(
     high: bool = False,
     seed: int = 0,
     steps: int = 1200,
-    batch: int = 4096,
+    batch: int = 2048,
     report: Callable[[str], None] = lambda line: None,
 ) -> Distilled:
     """Features, network and linear residual for the cone field color(points, directions); `high`, the large ones.
@@ -180,11 +185,9 @@ def distil(
     encoder, linears = trained(samples, count, rng=rng, seed=seed, steps=steps, batch=batch)
 
     def features_of(points: SurfacePoints) -> UInt8[Array, "n features"]:
-        encoded = []
         with torch.no_grad():
-            for chunk in torch.from_numpy(_encoder_inputs(points)).split(1 << 16):
-                encoded.append(torch.round(encoder(chunk) * 255).to(torch.uint8).numpy())
-        return np.concatenate(encoded) if encoded else np.zeros((0, count), np.uint8)
+            chunks = encoder.inputs(points).split(1 << 16)
+            return np.concatenate([torch.round(encoder(chunk) * 255).to(torch.uint8).numpy() for chunk in chunks])
 
     network = ViewNetwork(*(p.detach().numpy().copy() for one in linears for p in (one.weight, one.bias)))
     features = features_of(surface) / 255.0
@@ -215,7 +218,7 @@ def trained(
     linears = [nn.Linear(*pair) for pair in pairwise(sizes)]
     layers = nn.Sequential(*[stage for linear in linears for stage in (linear, nn.ReLU())][:-1])
     matrices = nn.Parameter(torch.zeros(count, 3, 3))
-    inputs = torch.from_numpy(_encoder_inputs(samples.surface))
+    inputs = encoder.inputs(samples.surface)
     tangents = torch.from_numpy(samples.tangent.astype(np.float32))
     targets = torch.from_numpy(samples.residual.astype(np.float32))
     bases = torch.from_numpy(samples.surface.base.astype(np.float32))
@@ -253,10 +256,6 @@ def choose(
     if scores["linear"] >= scores["off"] + GAIN_DB:
         return Distilled(None, linear.astype(np.float32), "linear", features, scores, reason)
     return Distilled(None, None, "off", None, scores, reason)
-
-
-def _encoder_inputs(surface: SurfacePoints) -> Float[Array, "n 12"]:
-    return np.concatenate([surface.points, surface.normals, surface.base, surface.cone.direction], 1).astype(np.float32)
 
 
 def write_onnx(path: Path, network: ViewNetwork) -> None:

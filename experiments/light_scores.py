@@ -15,9 +15,9 @@ from jaxtyping import Bool, Float
 
 from avatar.light import CaptureLight, lamps_of
 from avatar.psnr import decibels
+from bake.cores import one_thread
 from bake.truth import some_poses
 from bench.field.drawer import Drawer
-from bench.field.posed_field import one_thread
 from bench.ladder.machine import machine
 from bench.score.picture_scores import SAMPLES, VIEW_REGION, region_of
 from capture.folder import read_capture

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from bake.cores import one_thread
 from bench.field.drawer import Drawer
-from bench.field.posed_field import Directions, one_thread
+from bench.field.posed_field import Directions
 from bench.ladder.machine import machine
 from bench.score.lpips import read_perceptual
 from bench.score.metrics import Perceive

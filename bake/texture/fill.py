@@ -30,6 +30,8 @@ MATERIALS, APART = 8, 0.07
 # seen places, one in each cell of so many metres, that vote on an unseen texel's materials, the share of votes that a
 # material needs, and how far apart normals may be (cosine)
 VOTES, CELL, ENOUGH, FACING = 24, 0.0025, 0.15, 0.0
+# a number for each cell within a kilometre and eighth of all directions
+CELL_KEY = np.array([1 << 42, 1 << 23, 1 << 4, 1, 2, 4])
 # how far from its materials' colors an unseen texel's may be
 NEAR = 6 / 255
 # stiffness of an edge against all the seen surface round a vertex
@@ -102,7 +104,11 @@ def material_shares(
     for piece in np.unique(apart):
         own = surface.piece == piece
         given = np.flatnonzero(seen & own if (seen & own).any() else seen)
-        share[apart == piece] = _piece_shares(surface, material, np.flatnonzero(~seen & own), given, count)
+        asked = np.flatnonzero(~seen & own)
+        # one for all texels of a cell that face the same eighth of all directions
+        cell = np.concatenate([np.floor(surface.points[asked] / CELL), surface.normals[asked] > 0], 1)
+        _, first, same = np.unique(cell.astype(np.int64) @ CELL_KEY, return_index=True, return_inverse=True)
+        share[apart == piece] = _piece_shares(surface, material, asked[first], given, count)[same]
     return share
 
 
@@ -114,18 +120,18 @@ def _piece_shares(
     count: int,
 ) -> Float[Array, "unseen materials"]:
     # only seen texels near unseen ones can be the nearest
-    away, _ = KDTree(surface.points[unseen]).query(surface.points[given], distance_upper_bound=0.03)
+    away, _ = KDTree(surface.points[unseen]).query(surface.points[given], distance_upper_bound=0.03, workers=-1)
     near = given[np.isfinite(away)]
     given = near if len(near) >= VOTES else given
     _, first = np.unique(np.floor(surface.points[given] / CELL).astype(np.int64), axis=0, return_index=True)
     given = given[first]
     votes = min(VOTES, len(given))
-    _, near = KDTree(surface.points[given]).query(surface.points[unseen], k=votes)
+    _, near = KDTree(surface.points[given]).query(surface.points[unseen], k=votes, workers=-1)
     near = given[near.reshape(len(unseen), votes)]
-    total = np.zeros((len(unseen), count))
+    total, rows = np.zeros((len(unseen), count)), np.arange(len(unseen))
     for k in range(votes):
         cosine = (surface.normals[near[:, k]] * surface.normals[unseen]).sum(1)
-        np.add.at(total, (np.arange(len(unseen)), material[near[:, k]]), (cosine > FACING) + 1e-3)
+        total[rows, material[near[:, k]]] += (cosine > FACING) + 1e-3
     share = total / total.sum(1, keepdims=True)
     share[np.arange(len(share)), share.argmax(1)] = 1.0
     return share

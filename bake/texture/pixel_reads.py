@@ -21,6 +21,7 @@ from avatar.rotation import unit_or_zero
 from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from avatar.skinning import SkinWeights, blended_transforms, dense_weights
 from bake.cone import ViewCone, clamped_tangent
+from bake.cores import on_all_cores
 from bake.field import NumpyField
 from bake.level import Charted, lifted
 from bake.network import Distilled, SurfacePoints
@@ -275,15 +276,22 @@ def video_reads(
     belief = Belief(vertex_importance(mesh, video.part), COSINE_POWER[video.part])
     turn = head_from_canonical[:3, :3] / np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
     world = turn if video.axis_angle is None else np.eye(3)
-    for number, frame in enumerate(posed_frames(mesh, video, head_from_canonical)):
+
+    def of_drawn(drawn_frame: tuple[int, PosedFrame, Fragments]) -> PixelReads:
+        """What the pixels of a drawn frame read."""
+        number, frame, drawn = drawn_frame
         sure = video.masks[number] if video.unsure is None else video.masks[number] & ~video.unsure[number]
-        drawn = drawn_finer(rasteriser, mesh, frame, samples)
         lit = frame_light(mesh, frame, light, world)
         own = frame_reads(mesh, frame, drawn, video.images[number], sure, belief, lit)
         if change is not None:
             shown = own.place.of(change.seen_along(frame.along))
             own = own._replace(color=np.clip(own.color - shown, 0, 1).astype(np.float32))
-        yield own
+        return own
+
+    frames = enumerate(posed_frames(mesh, video, head_from_canonical))
+    # one thread draws, all of them read
+    drawn = ((number, frame, drawn_finer(rasteriser, mesh, frame, samples)) for number, frame in frames)
+    return on_all_cores(of_drawn, drawn)
 
 
 def drawn_finer(rasteriser: Rasteriser, mesh: AtlasMesh, frame: PosedFrame, samples: int) -> Fragments:

@@ -10,9 +10,7 @@ couples texels of two charts it is that of the rest with the agreement itself, f
 sides moved together twenty times too slowly, and stayed behind as lines where the field's color is far off.
 """
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +18,7 @@ from jaxtyping import Float, Integer
 from numpy import ndarray as Array
 from scipy.sparse import csr_matrix, diags
 
+from bake.cores import on_all_cores
 from bake.texture.texels import TexelMap
 from geometry.least_squares import factorised
 
@@ -89,15 +88,14 @@ def solve_change(
     for own in equations:
         residual += own.matrix.T @ own.wanted
     blocks = [block for own in equations for block in row_blocks(own.matrix, count)]
-    with ThreadPoolExecutor(os.cpu_count()) as cores:
 
-        def apply(x: Array) -> Array:
-            result = regular @ x
-            for part in cores.map(lambda block: block.T @ (block @ x), blocks):
-                result += part
-            return result
+    def apply(x: Array) -> Array:
+        result = regular @ x
+        for part in on_all_cores(lambda block: block.T @ (block @ x), blocks):
+            result += part
+        return result
 
-        return conjugate_gradients(apply, precondition, residual, rounds, report)
+    return conjugate_gradients(apply, precondition, residual, rounds, report)
 
 
 def row_blocks(matrix: csr_matrix, columns: int) -> list[csr_matrix]:

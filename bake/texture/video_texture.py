@@ -17,6 +17,7 @@ from scipy.sparse import csr_matrix
 from avatar.camera import Camera
 from avatar.rotation import unit_or_zero
 from avatar.skeleton import PARTS
+from bake.cores import on_all_cores
 from bake.level import BakedLevel, PlacesOnFinest, rounded, with_picture
 from bake.promises import Facts
 from bake.run_capture import RunVideos
@@ -86,10 +87,9 @@ def with_video_textures(
     view network is to show it.
     """
     solved = solve_texture(levels[0], joints, videos, report, change)
-    result = [with_picture(levels[0], solved.image, solved.texels)]
-    for baked, place in zip(levels[1:], places, strict=True):
-        result.append(with_picture(baked, place.read(solved.image), place.texels))
-    return result, solved.facts
+    shown = [(solved.image, solved.texels), *((place.read(solved.image), place.texels) for place in places)]
+    result = on_all_cores(lambda pair: with_picture(pair[0], *pair[1]), zip(levels, shown, strict=True))
+    return list(result), solved.facts
 
 
 class ReadVideos(NamedTuple):

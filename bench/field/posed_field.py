@@ -4,8 +4,7 @@ The surface is posed and rasterised, and each pixel's canonical point is asked f
 view directions (Directions, below). bench/field/rungs.py draws the same by volume rendering.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -18,6 +17,7 @@ from avatar.camera import Camera, pixel_rays, project
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, skin_points
 from bake.cone import ViewCone, clamped_tangent, cone_direction, interpolated, view_cone
+from bake.cores import one_thread
 from player.draw.raster import Rasteriser
 from synth.photo import block_sum
 from train.fused import FusedField
@@ -34,18 +34,6 @@ CLOSE = 5e-5  # metres: nearer than this counts as on it
 #           training rays were: section 3.5's "original view direction", the row "w/o ray transform" of Table 4
 #   cone    that direction pulled into the cone that training saw (d')
 Directions = Literal["global", "own", "cone"]
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Torch on one thread: on a machine that others use too, its threads wait for each other by spinning, and a
-    picture of the field was measured to take seven times its processor seconds on two."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @dataclass(frozen=True)
