@@ -222,13 +222,13 @@ def _check_twist(twist: TwistSkin, joints: Array, weights: Array, where: str) ->
     _check_rows(same, f"{where}.twist.weights", "those of the 52 joints, divided", twist.weights)
 
 
-def check_network(network: Mapping[str, Array | None], where: str = "network") -> None:
+def _check_network(network: Mapping[str, Array | None]) -> None:
     """Refuse weights of a view network that have another shape than one of its two sizes, or are not finite."""
     arrays = NETWORK_ARRAYS[4 if network.get("w3") is None else 8]
     for name, shape in arrays.items():
-        _check_array(network[name], f"{where}.{name}", "float32", shape)
+        _check_array(network[name], f"network.{name}", "float32", shape)
     if network.get("b3") is not None and "b3" not in arrays:
-        raise ValueError(f"{where}.b3 should be absent where w3 is, is not")
+        raise ValueError("network.b3 should be absent where w3 is, is not")
 
 
 def check_avatar(avatar: Avatar) -> None:
@@ -271,7 +271,7 @@ def check_avatar(avatar: Avatar) -> None:
     read = {f"levels[{i}].features": level.features.shape[2] for i, level in enumerate(avatar.levels)
             if level.features is not None}  # fmt: skip
     if avatar.network is not None:
-        check_network(vars(avatar.network))
+        _check_network(vars(avatar.network))
         read["network"] = avatar.network.features
     if avatar.linear is not None:
         if len(avatar.linear) not in FEATURES:

@@ -14,15 +14,14 @@ import numpy as np
 from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 
-from avatar.bend import BENDS
-from avatar.gltf.avatar_write import EXTENSION
-from avatar.gltf.document import Gltf, read_gltf
+from avatar.gltf.avatar_file import read_avatar
+from avatar.gltf.avatar_write import helper_joints
+from avatar.gltf.document import read_gltf
 from avatar.gltf.scene import read_skin
 from avatar.gltf.write import GltfBuilder
 from avatar.helper_joints import HelperJoints
 from avatar.motion.clip import Clip
 from avatar.rotation import normalised_quaternion, quaternion_from_axis_angle
-from avatar.skeleton import JOINTS
 from files.input_file import JsonObject
 from files.whole import whole_file
 
@@ -40,38 +39,15 @@ def write_animated(path: Path | str, avatar_path: Path | str, clip: Clip, *, nam
         AssetError: `avatar_path` is not an avatar file.
         ValueError: no frames, numbers that are not finite, or so many frames that float32 seconds repeat.
     """
-    gltf = read_gltf(avatar_path)
-    helpers = _helper_joints(gltf)
-    nodes = _joint_nodes(gltf, helpers)
+    helpers, gltf = helper_joints(read_avatar(avatar_path, levels=1)), read_gltf(avatar_path)
+    if len(gltf.buffers) != 1:
+        raise gltf.error("buffers", "one, the file's own", len(gltf.buffers))
     document: JsonObject = json.loads(json.dumps(gltf.json))
     builder = _kept(document, bytes(gltf.buffers[0]))
-    document["animations"] = [_animation(builder, nodes, clip, name, helpers)]
+    document["animations"] = [_animation(builder, read_skin(gltf, 0).nodes, clip, name, helpers)]
     data = builder.to_bytes(document)
     with whole_file(path) as file:
         file.write(data)
-
-
-def _helper_joints(gltf: Gltf) -> HelperJoints | None:
-    """Those of the file, from its extension; None: it has none."""
-    if EXTENSION not in gltf.extensions(gltf.json, "glTF"):
-        raise gltf.error("extensions", f"with {EXTENSION}: an avatar comes from `selfscan bake`", None)
-    extension, where = gltf.extensions(gltf.json, "glTF")[EXTENSION], f"extensions.{EXTENSION}"
-    if extension.get("twist") is not True:
-        return None
-    push = gltf.numbers(extension, "bend", where, (len(BENDS),)) if "bend" in extension else None
-    return HelperJoints(gltf.numbers(extension, "jointPositions", where, (52, 3)), push)
-
-
-def _joint_nodes(gltf: Gltf, helpers: HelperJoints | None) -> list[int]:
-    """The nodes of the joints, the 52 first; what else an avatar file promises is read_avatar's to check."""
-    if len(gltf.buffers) != 1:
-        raise gltf.error("buffers", "one, the file's own", len(gltf.buffers))
-    nodes = list(read_skin(gltf, 0).nodes)
-    names = [gltf.items("nodes")[node].get("name") for node in nodes]
-    if names != [*JOINTS, *(helpers.names if helpers else ())]:
-        expected = "the 52 joints of SMPL+H in order" + (", then the helper joints" if helpers else "")
-        raise gltf.error("skins[0].joints", expected, names)
-    return nodes
 
 
 def rotation_keys(axis_angle: Float[Array, "frames n 3"]) -> Float32[Array, "frames n 4"]:
@@ -86,7 +62,7 @@ def rotation_keys(axis_angle: Float[Array, "frames n 3"]) -> Float32[Array, "fra
 
 
 def _animation(
-    builder: GltfBuilder, nodes: list[int], clip: Clip, name: str, helpers: HelperJoints | None
+    builder: GltfBuilder, nodes: tuple[int, ...], clip: Clip, name: str, helpers: HelperJoints | None
 ) -> JsonObject:
     count = len(clip.root)
     if not count or not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):

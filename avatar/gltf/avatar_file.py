@@ -24,7 +24,6 @@ from avatar.baked_avatar import (
     ViewNetwork,
     check_avatar,
     check_level,
-    check_network,
 )
 from avatar.bend import BENDS
 from avatar.gltf.avatar_write import ATTRIBUTES, EXTENSION, VERSION, canonical_bones, helper_joints, write_avatar
@@ -146,7 +145,6 @@ def _read_network(gltf: Gltf, extension: JsonObject) -> ViewNetwork | None:
     unknown = sorted(set(network) - set(arrays))
     if unknown:
         raise gltf.error(where, f"of {', '.join(arrays)} alone", unknown)
-    check_network(arrays, where)
     return ViewNetwork(**arrays)
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from command.errors import AssetError
-from files import input_file
-from files.input_file import JsonObject, read_bytes
+from files.input_file import read_bytes
 
 # a file, and all buffers together; text and base64 are held a few times over
 MAX_BYTES = 1 << 28
@@ -48,14 +47,6 @@ def glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
         raise AssetError(f"{path}: first GLB chunk should be JSON (0x4E4F534A), is {chunks[0][0]:#x}")
     has_binary = len(chunks) > 1 and chunks[1][0] == 0x004E4942
     return chunks[0][1], chunks[1][1] if has_binary else None
-
-
-def parse_json(path: Path, text: memoryview) -> JsonObject:
-    """A JSON object, with as many values as a small part of the memory holds, and no NaN or Infinity."""
-    document = input_file.parse_json(bytes(text), str(path), "glTF")
-    if not isinstance(document, dict):
-        raise AssetError(f"{path}: should be glTF JSON, is {short(document)}")
-    return document
 
 
 def uri_bytes(path: Path, uri: object, field: str) -> bytes:

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy import ndarray as Array
 
-from avatar.gltf.container import MAX_BYTES, file_bytes, glb_chunks, parse_json, short, uri_bytes
+from avatar.gltf.container import MAX_BYTES, file_bytes, glb_chunks, short, uri_bytes
 from command.errors import AssetError
-from files.input_file import JsonObject
+from files.input_file import JsonObject, parse_json
 
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 ELEMENT_SHAPES = {
@@ -238,7 +238,9 @@ def read_gltf(path: str | Path) -> Gltf:
         text, binary = glb_chunks(path, data)
     else:
         text, binary = memoryview(data), None
-    document = parse_json(path, text)
+    document = parse_json(bytes(text), str(path), "glTF")
+    if not isinstance(document, dict):
+        raise AssetError(f"{path}: should be glTF JSON, is {short(document)}")
     gltf = Gltf(path, document, ())
     _check_document(gltf)
     return Gltf(path, document, tuple(_read_buffers(gltf, binary)))

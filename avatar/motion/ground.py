@@ -51,7 +51,8 @@ def find_ground(motion: Motion, hull: BodyHull) -> GroundLevel:
     if touching < LEAST_SHARE:
         return GroundLevel(0.0, "ground: the body never stands, so the file's heights are kept")
     if motion.grounded and abs(level) > SHOES:
-        return GroundLevel(0.0, f"ground: the file's own; the lowest point stays {_length(level)} {_side(level)} it")
+        side = "above" if level > 0 else "below"
+        return GroundLevel(0.0, f"ground: the file's own; the lowest point stays {_length(level)} {side} it")
     if abs(level) < UNSEEN:
         return GroundLevel(0.0, "ground: the soles touch it as they are")
     moved = "lowered" if level > 0 else "raised"
@@ -88,7 +89,3 @@ def _length(metres: float) -> str:
     """ "5.6 cm", "1.20 m"."""
     metres = abs(metres)
     return f"{metres:.2f} m" if metres >= 1 else f"{100 * metres:.1f} cm"
-
-
-def _side(level: float) -> str:
-    return "above" if level > 0 else "below"

@@ -23,7 +23,7 @@ from numpy import ndarray as Array
 
 from avatar.limits import axis_angle_from_joint_angles, clamped_angles, joint_angles, limits
 from avatar.motion.fingers import FINGERS
-from avatar.motion.mhr_rig import ELBOW_SHARE, twist_about
+from avatar.motion.mhr_rig import ELBOW_SHARE, rest_palm, twist_about
 from avatar.motion.rest_pose import hinge
 from avatar.rotation import (
     axis_angle_from_matrix,
@@ -187,8 +187,7 @@ def _hand(
     wrist, elbow = J[f"{side}_wrist"], J[f"{side}_elbow"]
     starts = HAND_STARTS
     palm = palm_frame(hand[:, starts["middle"]] - hand[:, 0], hand[:, starts["index"]] - hand[:, starts["pinky"]])
-    at = {name: ours[J[f"{side}_{name}"]] for name in ("wrist", "middle1", "index1", "pinky1")}
-    turned = palm @ palm_frame(at["middle1"] - at["wrist"], at["index1"] - at["pinky1"]).T
+    turned = palm @ rest_palm(ours, side).T
     bone = unit_or_zero(ours[wrist] - ours[elbow])
     relative = np.swapaxes(R[:, elbow], -1, -2) @ turned
     twist = twist_about(relative, bone) * carried

@@ -167,7 +167,7 @@ def mhr_alignment(ours: Float[Array, "52 3"]) -> Alignment:
                 a, b = (f"{side}_{finger}{min(k, 1) + 1}", f"{side}_{finger}{min(k, 1) + 2}")
                 axis = curl[n, k] * (MIRROR if side == "right" else 1)
                 A[f"{side}_{finger}{k + 1}"] = _hinged(ours[J[b]] - ours[J[a]], axis, side)
-        A[f"{side}_wrist"] = _our_palm(ours, side).T
+        A[f"{side}_wrist"] = rest_palm(ours, side).T
         for name, rest in (("collar", _COLLAR), ("ankle", _ANKLE), ("foot", _TOES)):
             A[f"{side}_{name}"] = mirrored_rest(rest, side).T
     return Alignment(A, column)
@@ -233,6 +233,7 @@ def _hinged(bone: Float[Array, "3"], axis: Float[Array, "3"], side: str) -> Floa
     return left_up_frame(np.array([0.0, 0, 1]), np.array([sign(side), 0, 0])) @ left_up_frame(axis, bone).T
 
 
-def _our_palm(ours: Float[Array, "52 3"], side: str) -> Float[Array, "3 3"]:
-    at = {name: ours[None, J[f"{side}_{name}"]] for name in ("wrist", "middle1", "index1", "pinky1")}
-    return palm_frame(at["middle1"] - at["wrist"], at["index1"] - at["pinky1"])[0]
+def rest_palm(ours: Float[Array, "52 3"], side: str) -> Float[Array, "3 3"]:
+    """Frame of our palm at rest, as `palm_frames` has MHR's."""
+    wrist, middle, index, pinky = (ours[J[f"{side}_{name}"]] for name in ("wrist", "middle1", "index1", "pinky1"))
+    return palm_frame(middle - wrist, index - pinky)

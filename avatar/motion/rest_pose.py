@@ -22,7 +22,6 @@ from avatar.rotation import (
     unit_or_zero,
 )
 from avatar.skeleton import JOINT_NUMBERS as J
-from command.errors import AssetError
 
 # cosine of a thigh to the way from hips to head, above which no person stands: it points up, or sideways like a split
 THIGH_UP = -0.2
@@ -169,16 +168,6 @@ def snapped(R: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         out[row, column] = np.sign(R[row, column])
     out[:, 2] = np.cross(out[:, 0], out[:, 1])
     return out
-
-
-def check_torso(rig: AnimatedRig, left: Array, up: Array) -> None:
-    """Refuse a torso that has no sides or no height.
-
-    Raises:
-        AssetError: both hips, or hips and head, are at one place.
-    """
-    if np.linalg.norm(left) == 0 or np.linalg.norm(up) == 0:
-        raise AssetError(f"{rig.path}: hips or hips and head rest at the same place")
 
 
 def _heading(ours: Array, foot: Array) -> Float[Array, "3 3"]:

@@ -18,7 +18,7 @@ from numpy import ndarray as Array
 from avatar.motion.calibrate import Sampled, calibrated_alignment
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, spread_frames
 from avatar.motion.pose_vector import TURNS, up_axis
-from avatar.motion.rest_pose import Alignment, check_torso, rest_alignment, rests_standing
+from avatar.motion.rest_pose import Alignment, rest_alignment, rests_standing
 from avatar.motion.rig import AnimatedRig, JointMap, find_joints
 from avatar.motion.smplh_rig import leg_length
 from avatar.rotation import axis_angle_from_matrix, matrix_from_quaternion, rotation_part_way
@@ -47,7 +47,7 @@ def retarget(
     Facts and assumptions are in the notes: joints not found, rest pose, up axis, scale, calibration frame.
 
     Raises:
-        AssetError: hips, knees, ankles, shoulders, elbows or head cannot be found by name, or have no length.
+        AssetError: hips, knees, ankles, shoulders, elbows or head cannot be found by name, or have no length or sides.
     """
     skeleton = builtin_skeleton() if skeleton is None else skeleton
     ours = skeleton.joints.astype(np.float64)
@@ -62,7 +62,8 @@ def retarget(
     sample = spread_frames(rig.frames, SAMPLED_FRAMES)
     G, at = rig.transforms(np.concatenate([rig.values(int(k), int(k) + 1) for k in sample]))
     upright = (at[:, joints.head] - at[:, hips].mean(1)).mean(0)
-    check_torso(rig, at[0, hips[0]] - at[0, hips[1]], upright)
+    if not (at[0, hips[0]] != at[0, hips[1]]).any() or not upright.any():
+        raise AssetError(f"{rig.path}: hips or hips and head rest at the same place")
     W = matrix_from_quaternion(np.array(TURNS["+y" if up_known else up_axis(upright, notes)])).round()
     scale = _scale(rig, joints.places, ours, notes)
     if alignment is None:
