@@ -114,7 +114,7 @@ def bare_share(context: Context, bare: Drawn, avatar: Avatar, rounds: int) -> tu
 
     try:
         for number in range(rounds):
-            pose = bare.track.pose(FRAMES[number % len(FRAMES)] / bare.track.rate)
+            pose = bare.track.pose(FRAMES[number % len(FRAMES)] / bare.track.motion.rate)
             turns = [
                 lambda pose=pose: program.draw(pose, bare.camera),
                 lambda pose=pose: bare.renderer.draw_into(target, [pose], bare.camera),

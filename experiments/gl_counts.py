@@ -41,8 +41,8 @@ def counting() -> Iterator[None]:
     plain = Context.__init__
 
     def counted(self: Context, driver: Driver, *rest, **named) -> None:
-        counts, address = Counts(), driver.address
-        driver.address = lambda name: counts.wrap(name, address(name))
+        counts, address = Counts(), driver.load_opengl_function
+        driver.load_opengl_function = lambda name: counts.wrap(name, address(name))
         _counts[self] = counts
         plain(self, driver, *rest, **named)
 

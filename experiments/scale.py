@@ -176,12 +176,12 @@ def motion_sweep(avatar: Avatar, lengths: Sequence[int], rounds: int, report: Ca
             path = Path(folder) / f"{length}.npz"
             write_still_motion(path, length)
             motion = motion_for(avatar, str(path))
-            tracks.append(Track(motion.read, motion.frames, motion.rate))
+            tracks.append(Track(motion))
         places = np.random.default_rng(0).permutation(2 * rounds) / (2 * rounds)
 
         def jump(track: Track, number: int) -> None:
             # frames beyond the two stretches that a track keeps
-            track.pose((0.97 * places[number % len(places)] + 0.01 * (number % 2)) * track.frames / track.rate)
+            track.pose((0.97 * places[number % len(places)] + 0.01 * (number % 2)) * track.end)
 
         wall, cpu = take_turns([partial(jump, track) for track in tracks], rounds)
         tracks.clear()

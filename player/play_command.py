@@ -1,14 +1,12 @@
 """`selfscan play`: avatars in a window, moved by files or by live poses."""
 
 import argparse
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
 
-from avatar.baked_avatar import Avatar
 from avatar.skeleton import PARTS
 from command.command_line import Help, Option, parse
 from command.errors import AssetError, missing_package
@@ -168,6 +166,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
     Raises:
         AssetError: a file cannot be read, or imgui-bundle is not installed.
     """
+    from player.live.session import live_session
     from player.scene.opened import opened_avatars
     from player.window.show import opened_show
 
@@ -183,7 +182,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
     avatars = opened_avatars(scene)
     with ExitStack() as sources:
         live = [
-            (sources.enter_context(_listening(address, command, [avatars[k] for k in indices])), indices)
+            (sources.enter_context(live_session(address, command.source, [avatars[k] for k in indices])), indices)
             for address, indices in _addresses(scene, command)
         ]
         show = opened_show(scene, avatars, live)
@@ -205,9 +204,3 @@ def _addresses(scene: Scene, command: PlayCommand) -> list[tuple[Address, list[i
     if len(found) > 1 and (command.source.record or command.source.latency):
         raise ValueError(f"--record and --latency write one file; the scene has {len(found)} live sources")
     return list(found.items())
-
-
-def _listening(address: Address, command: PlayCommand, avatars: Sequence[Avatar]):
-    from player.live.session import live_session
-
-    return live_session(address, command.source, avatars)

@@ -79,8 +79,7 @@ class Drawn:
     """One case on a renderer of its own."""
 
     def __init__(self, context: Context, avatar: Avatar, motion: Motion, case: Case, camera: Camera):
-        joints = avatar.joint_positions
-        self.track = Track(motion.read, motion.frames, motion.rate, joints=joints, foot_lock=case.effects.foot_lock)
+        self.track = Track(motion, joints=avatar.joint_positions, foot_lock=case.effects.foot_lock)
         self.case, self.camera, self.seconds = case, camera, 0.0
         self.renderer = Renderer(context, [avatar], camera.size, effects=case.effects, background=STUDIO)
 
@@ -88,7 +87,7 @@ class Drawn:
         """What is drawn for one frame of a film."""
         if self.case.still:
             frame = SHOWN
-        rate = self.track.rate
+        rate = self.track.motion.rate
 
         def view_at(share: float) -> View:
             seconds = frame / rate
@@ -114,7 +113,8 @@ class Drawn:
         """Loose parts go on by one frame of 60 a second, to the pose that is drawn."""
         if self.renderer.moves:
             self.seconds += 1 / 60
-            self.renderer.move([self.track.pose((SHOWN if self.case.still else frame) / self.track.rate)], self.seconds)
+            seconds = (SHOWN if self.case.still else frame) / self.track.motion.rate
+            self.renderer.move([self.track.pose(seconds)], self.seconds)
 
     def picture(self) -> Array:
         for frame in range(SHOWN + 1):

@@ -67,15 +67,14 @@ def rungs_of(avatar: Avatar) -> list[Rung]:
     if smallest:
         rungs.append(rung_of(avatar, "off", last, min(COARSER), smallest, fewest))
     rungs += [rung_of(avatar, view, share=share) for view in dict.fromkeys((views[0], "off")) for share in FINER]
-    return [rung for rung in rungs if rung.joints == MOST_JOINTS or rung.joints < joints_of(avatar, rung.level)]
+    return [rung for rung in rungs if rung.joints == MOST_JOINTS or rung.joints < avatar.level(rung.level).influences]
 
 
 def cheaper_rungs(avatar: Avatar, view: str, level: int = 0) -> list[Rung]:
     """A view mode of a level with smaller textures, then with fewer joints."""
     smaller = [rung_of(avatar, view, level, halvings=times) for times in halvings_of(avatar, level)]
-    return smaller + [
-        rung_of(avatar, view, level, joints=joints) for joints in FEWER_JOINTS if joints < joints_of(avatar, level)
-    ]
+    fewer = [joints for joints in FEWER_JOINTS if joints < avatar.level(level).influences]
+    return smaller + [rung_of(avatar, view, level, joints=joints) for joints in fewer]
 
 
 def holds(avatar: Avatar, view: str, level: int) -> bool:
@@ -87,11 +86,6 @@ def halvings_of(avatar: Avatar, level: int) -> list[int]:
     """How often the textures of a level can be halved."""
     side = min(avatar.level(level).base_color.shape[:2])
     return [times for times in HALVINGS if side >> times >= SMALLEST_TEXTURE]
-
-
-def joints_of(avatar: Avatar, level: int) -> int:
-    """How many joints a vertex of a level follows at most."""
-    return avatar.level(level).influences
 
 
 def time_rungs(

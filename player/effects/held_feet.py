@@ -14,7 +14,6 @@ NumPy's calls (2.2 ms a frame alone, .15 together). Lengths scale with the legs:
 is held as one in metres.
 """
 
-from collections.abc import Callable
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from avatar.motion.clip import Clip
+from avatar.motion.clip import Clip, Motion
 from avatar.skeleton import JOINTS, joint_transforms
 from player.draw.drawing import Pose
 from player.effects.foot_lock import FootLock
@@ -63,10 +62,8 @@ class Held(NamedTuple):
 class HeldFeet:
     """One motion's steps on one skeleton; the motion is read once, when the first pose is asked for."""
 
-    def __init__(
-        self, clip: Callable[[int, int], Clip], frames: int, rate: float, joints: Float[Array, "52 3"], lock: FootLock
-    ):
-        self._clip, self._frames, self._rate, self._lock = clip, frames, rate, lock
+    def __init__(self, motion: Motion | Clip, joints: Float[Array, "52 3"], lock: FootLock):
+        self._motion, self._lock = motion, lock
         self._joints = joints.astype(np.float64)
         self._bones = [leg_bones(self._joints, leg) for leg in LEGS]
         # metres of this body in one of a grown person's
@@ -79,7 +76,7 @@ class HeldFeet:
         """Of the left and the right foot."""
         toes = self._toes()
         ground = float(np.percentile(toes[..., 1], STANDING))
-        return [found_steps(toe, ground, self._rate, self._lock, self.unit) for toe in toes]
+        return [found_steps(toe, ground, self._motion.rate, self._lock, self.unit) for toe in toes]
 
     def pose(self, frame: int, first: int, block: Clip) -> Pose:
         """The pose of a frame with its feet held; the very pose where neither is. block: the motion from frame `first`,
@@ -99,7 +96,7 @@ class HeldFeet:
     def held(self, start: int, axis_angle: Float[Array, "frames 52 3"], root: Float[Array, "frames 3"]) -> Held:
         """Consecutive poses from frame `start` on, with their feet held."""
         world = joint_transforms(axis_angle, self._joints, root)[..., :3, 3]
-        release = self._rate * self._lock.release
+        release = self._motion.rate * self._lock.release
         moved = np.array([[offset(steps, start + i, places[toe], release) for i, places in enumerate(world)]
                           for steps, toe in zip(self.steps, TOES, strict=True)])  # fmt: skip
         # where each ankle should be, and how near to its hip and far from it it can be, metres
@@ -130,8 +127,8 @@ class HeldFeet:
 
     def _toes(self) -> Float[Array, "2 frames 3"]:
         parts = []
-        for first in range(0, self._frames, BLOCK):
-            clip = self._clip(first, min(first + BLOCK, self._frames))
+        for first in range(0, self._motion.frames, BLOCK):
+            clip = self._motion.read(first, min(first + BLOCK, self._motion.frames))
             parts.append(joint_transforms(clip.axis_angle, self._joints, clip.root)[..., :3, 3][:, TOES])
         return np.concatenate(parts).transpose(1, 0, 2)
 

@@ -55,7 +55,7 @@ class Stage:
         self.avatars = opened_avatars(scene, levels)
         self.tracks = opened_tracks(scene, self.avatars, scene.cameras[:1])
         self.notes = notes_of(self.tracks)
-        self.rate = float(scene.rate or self.tracks[0].rate)
+        self.rate = float(scene.rate or self.tracks[0].motion.rate)
         self.camera = scene.cameras[0] if scene.cameras else SceneCamera()
         self.frames = self._frames()
         self.still: int | None = None  # the one frame that a turntable holds

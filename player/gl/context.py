@@ -12,7 +12,7 @@ import os
 import time
 from collections.abc import Callable
 from ctypes import POINTER, byref, c_char_p, c_int, c_ubyte, c_uint, c_void_p
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, cast
 
 import moderngl
@@ -75,17 +75,11 @@ class Driver:
     """What a window system gives us: function addresses, and how to make current, let go and destroy."""
 
     name: str
-    address: Callable[[str], int]
+    # moderngl asks for it by this name, and for the three methods
+    load_opengl_function: Callable[[str], int]
     make_current: Callable[[], object]
     let_go: Callable[[], object]
     destroy: Callable[[], object]
-    # memory the driver still writes to
-    keep: list[object] = field(default_factory=list)
-
-    # what moderngl asks of a context object
-
-    def load_opengl_function(self, name: str) -> int:
-        return self.address(name)
 
     def __enter__(self) -> "Driver":
         return self
@@ -142,7 +136,7 @@ class Context:
     def function(self, name: str, *arguments: type) -> Callable[..., None]:
         """A function of the driver that moderngl has no word for; made once."""
         if name not in self._functions:
-            self._functions[name] = ctypes.CFUNCTYPE(None, *arguments)(self.driver.address(name))
+            self._functions[name] = ctypes.CFUNCTYPE(None, *arguments)(self.driver.load_opengl_function(name))
         return self._functions[name]
 
     def milliseconds(self, work: Callable[[], object]) -> float:
@@ -367,7 +361,7 @@ def osmesa_driver() -> Driver:
     context = lib.OSMesaCreateContextAttribs((c_int * len(OSMESA_CONTEXT))(*OSMESA_CONTEXT), None)
     if not context:
         raise OSError("OSMesaCreateContextAttribs: no 3.3 core context")
-    # OSMesa wants some memory to call its screen
+    # OSMesa wants some memory to call its screen, which lives as long as what makes it current
     canvas = (c_ubyte * (16 * 16 * 4))()
 
     def make_current() -> None:
@@ -377,7 +371,7 @@ def osmesa_driver() -> Driver:
     let_go = lambda: lib.OSMesaMakeCurrent(None, None, 0, 0, 0)
     destroy = lambda: lib.OSMesaDestroyContext(context)
     address = lambda function: lib.OSMesaGetProcAddress(function.encode()) or 0
-    return Driver("OSMesa", address, make_current, let_go, destroy, [canvas])
+    return Driver("OSMesa", address, make_current, let_go, destroy)
 
 
 def opened(kind: str, gpu: int | str | None) -> Context:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 LARGEST = 32768
 MOST_MESSAGES = 1024  # in a packet
 DEEPEST = 8  # bundles within bundles
-IMMEDIATELY = 1  # time tag
+IMMEDIATELY = (1).to_bytes(8, "big")  # time tag
 
 # Numbers: OSC's letter, and struct's
 PLAIN = {"i": "i", "f": "f", "h": "q", "d": "d", "t": "Q"}
@@ -129,10 +129,9 @@ def build_message(address: str, *arguments: str | float | int | bool) -> bytes:
     return _padded(address) + _padded("".join(letters)) + b"".join(parts)
 
 
-def build_bundle(elements: Sequence[bytes], time_tag: int = IMMEDIATELY) -> bytes:
+def build_bundle(elements: Sequence[bytes]) -> bytes:
     """A bundle of messages or bundles."""
-    head = b"#bundle\0" + struct.pack(">Q", time_tag)
-    return head + b"".join(struct.pack(">i", len(element)) + element for element in elements)
+    return b"#bundle\0" + IMMEDIATELY + b"".join(struct.pack(">i", len(element)) + element for element in elements)
 
 
 def _padded(text: str) -> bytes:

@@ -38,15 +38,6 @@ class CaptureView:
     # the poses the person had; not scaled, they were measured on this body
     poses: Clip
 
-    @property
-    def rate(self) -> float:
-        """Frames a second."""
-        return self.poses.rate
-
-    def clip(self, start: int, stop: int) -> Clip:
-        """The poses of some frames."""
-        return Clip(self.poses.axis_angle[start:stop], self.poses.root[start:stop], self.rate)
-
     def image(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
         """The picture of a frame.
 

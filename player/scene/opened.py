@@ -49,24 +49,22 @@ def opened_tracks(
 def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView | None) -> Track:
     at, turn = np.array(entry.at, np.float64), float(np.radians(entry.turn_deg))
     if entry.live is not None:
-        return Track(standing(pelvis_height(avatar)).read, 1, 30.0, at=at, turn=turn, name=entry.live)
+        return Track(standing(pelvis_height(avatar)), at=at, turn=turn, name=entry.live)
     if entry.motion is None and capture is not None:
-        name = f"the {capture.part} video"
-        return Track(capture.clip, len(capture.images), capture.rate, at=at, turn=turn, name=name)
+        return Track(capture.poses, at=at, turn=turn, name=f"the {capture.part} video")
     motion = motion_for(avatar, entry.motion, body=entry.body, hands=entry.hands, ground=ground)
-    name = entry.motion or motion.name
-    return Track(motion.read, motion.frames, motion.rate, entry.start, at, turn, name, motion.notes)
+    return Track(motion, entry.start, at, turn, entry.motion or motion.name)
 
 
 def notes_of(tracks: Sequence[Track]) -> list[str]:
     """What was assumed about the motions: what holds for all of them once, the rest by avatar."""
-    if len({track.notes for track in tracks}) == 1:
-        return list(tracks[0].notes)
-    shared = set.intersection(*(set(track.notes) for track in tracks))
+    if len({track.motion.notes for track in tracks}) == 1:
+        return list(tracks[0].motion.notes)
+    shared = set.intersection(*(set(track.motion.notes) for track in tracks))
     return [
         note if note in shared else f"avatar {k} ({track.name}), {note}"
         for k, track in enumerate(tracks, 1)
-        for note in track.notes
+        for note in track.motion.notes
         if note not in shared or k == 1
     ]
 

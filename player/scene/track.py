@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar import rotation
-from avatar.motion.clip import Clip
+from avatar.motion.clip import Clip, Motion
 from player.draw.drawing import FASTEST, TURNED, Pose
 from player.effects.foot_lock import FootLock
 from player.scene.motions import BLOCK
@@ -20,15 +20,11 @@ class Track:
     A motion of any length takes the memory of two blocks.
     """
 
-    clip: Callable[[int, int], Clip]
-    frames: int
-    rate: float
+    motion: Motion | Clip
     start: float = 0.0  # seconds into the motion at which the timeline begins
     at: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))  # metres
     turn: float = 0.0  # radians about y
     name: str = ""
-    # what was assumed in reading it
-    notes: tuple[str, ...] = ()
     # the avatar's joints in pose 0, metres; with them its feet can be held
     joints: Float[np.ndarray, "52 3"] | None = None
     # whether they are
@@ -39,11 +35,11 @@ class Track:
     @property
     def end(self) -> float:
         """Seconds into the timeline at which the motion has been shown."""
-        return self.frames / self.rate - self.start
+        return self.motion.frames / self.motion.rate - self.start
 
     def frame(self, seconds: float | int) -> int:
         """The motion's own frame at a moment of the timeline; past its end the last is held."""
-        return min(max(int((seconds + self.start) * self.rate + 1e-6), 0), self.frames - 1)
+        return min(max(int((seconds + self.start) * self.motion.rate + 1e-6), 0), self.motion.frames - 1)
 
     def pose(self, seconds: float | int) -> Pose:
         """The pose at a moment, in its place."""
@@ -54,7 +50,7 @@ class Track:
         than FASTEST, or turned by more than TURNED), the pose on this moment's side of the jump."""
         here = self.frame(seconds)
         # a moment shows the frame that began last; times beside it are counted from there
-        at = min(max(here + away * self.rate, 0.0), self.frames - 1.0)
+        at = min(max(here + away * self.motion.rate, 0.0), self.motion.frames - 1.0)
         while here + 1 <= at and not self._jumps(here):
             here += 1
         while here - 1 >= at and not self._jumps(here - 1):
@@ -70,7 +66,7 @@ class Track:
     def _jumps(self, frame: int) -> bool:
         """Whether the motion jumps between this frame and the next."""
         (before, root_before), (after, root_after) = self._own(frame), self._own(frame + 1)
-        if np.linalg.norm(root_after - root_before) * self.rate > FASTEST:
+        if np.linalg.norm(root_after - root_before) * self.motion.rate > FASTEST:
             return True
         q_before, q_after = (rotation.quaternion_from_axis_angle(one[0]) for one in (before, after))
         return bool(2 * np.arccos(min(abs(float(q_before @ q_after)), 1.0)) > TURNED)
@@ -80,7 +76,7 @@ class Track:
         first = frame - frame % BLOCK
         block = next((clip for start, clip in self._blocks if start == first), None)
         if block is None:
-            block = self.clip(first, min(first + BLOCK, self.frames))
+            block = self.motion.read(first, min(first + BLOCK, self.motion.frames))
             # the one before stays, for stepping back
             self._blocks = [*self._blocks[-1:], (first, block)]
         i = frame - first
@@ -89,14 +85,13 @@ class Track:
 
     def _held_feet(self) -> Callable[[int, int, Clip], Pose] | None:
         """What holds the feet, where that is asked for and there is something to hold."""
-        if self.foot_lock is None or self.joints is None or self.frames < 2:
+        if self.foot_lock is None or self.joints is None or self.motion.frames < 2:
             return None
         if self._held is None or self._held[0] != self.foot_lock:
             # inverse kinematics only where they are asked for
             from player.effects.held_feet import HeldFeet
 
-            feet = HeldFeet(self.clip, self.frames, self.rate, self.joints, self.foot_lock)
-            self._held = self.foot_lock, feet.pose
+            self._held = self.foot_lock, HeldFeet(self.motion, self.joints, self.foot_lock).pose
         return self._held[1]
 
     def placed(self, pose: Pose) -> Pose:

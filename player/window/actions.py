@@ -71,6 +71,10 @@ def toggle_follow(parts: "WindowParts") -> None:
     parts.viewpoint.follow = not parts.viewpoint.follow
 
 
+def next_camera(parts: "WindowParts") -> None:
+    parts.viewpoint.cameras.next(parts.viewpoint.camera())
+
+
 def toggle_panels(parts: "WindowParts") -> None:
     parts.state.layout.panels_on = not parts.state.layout.panels_on
 
@@ -125,7 +129,7 @@ RANGE_A = Action("begin the range A-B at this frame", ("a",), timed(lambda line:
 RANGE_B = Action("end the range A-B with this frame", ("b",), timed(lambda line: line.set_b(line.frame)))
 RANGE_OFF = Action("play the whole motion again", ("x",), timed(lambda line: line.range_off()))
 
-NEXT_CAMERA = Action("next camera", ("c",), lambda parts: parts.viewpoint.next_camera())
+NEXT_CAMERA = Action("next camera", ("c",), next_camera)
 RESET_CAMERA = Action("reset the orbit", ("r",), lambda parts: parts.viewpoint.cameras.orbit.reset())
 FOLLOW = Action("let the orbit follow the avatar, or stop", ("f",), toggle_follow)
 ADD_CAMERA_KEY = Action(

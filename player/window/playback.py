@@ -18,7 +18,7 @@ class Playback:
         rate: float | None = None,
     ):  # fmt: skip
         self.tracks, self.live = list(tracks), list(live)
-        rate = rate or tracks[0].rate
+        rate = rate or tracks[0].motion.rate
         frames = max(int(np.ceil(track.end * rate - 1e-6)) for track in tracks)
         self.timeline = Timeline(max(frames, 1), rate)
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from command.errors import AssetError
-from player.gl.context import Context, wrap_context
+from player.gl.context import wrap_context
 
 # height of letters, pixels of a usual screen
 LETTER = 15.0
@@ -22,7 +22,8 @@ class Screen:
 
     def __init__(self, size: tuple[int, int], *, null: bool):
         self.handle = open_window(size, null)
-        self.context = window_context(self.handle, null)
+        name = "glfw null + OSMesa" if null else "window"
+        self.context = wrap_context(address_of, lambda: glfw.make_context_current(self.handle), name)
         self._drawn_size = (0, 0)
 
     @property
@@ -112,11 +113,7 @@ def open_window(size: tuple[int, int], null: bool):
     return window
 
 
-def window_context(window: Any, null: bool) -> Context:
-    """Our context around a window's own."""
-
-    def address(name: str) -> int:
-        found: Any = glfw.get_proc_address(name)
-        return found or 0
-
-    return wrap_context(address, lambda: glfw.make_context_current(window), "glfw null + OSMesa" if null else "window")
+def address_of(name: str) -> int:
+    """Of a function of OpenGL in the window that is current; 0: there is none."""
+    found: Any = glfw.get_proc_address(name)
+    return found or 0

@@ -47,7 +47,7 @@ class Show:
         points: list[Float[np.ndarray, "points 3"]] = []
         for avatar, track in zip(self.avatars, self.playback.tracks, strict=True):
             turned = matrix_from_axis_angle(np.array([0.0, track.turn, 0.0]))
-            points.append(extent(avatar, track.clip(0, min(BLOCK, track.frames))) @ turned.T + track.at)
+            points.append(extent(avatar, track.motion.read(0, min(BLOCK, track.motion.frames))) @ turned.T + track.at)
         everything = np.concatenate(points)
         first = self.playback.tracks[0].pose(0.0)[0]
         azimuth = facing(first, self.avatars[0].joint_positions.astype(np.float64))

@@ -29,17 +29,11 @@ class Viewpoint:
         """The frame of the source video that belongs to now."""
         if self.capture is None:
             return 0
-        return min(int(self.state.timeline.seconds * self.capture.rate + 1e-6), len(self.capture.images) - 1)
+        return min(int(self.state.timeline.seconds * self.capture.poses.rate + 1e-6), len(self.capture.images) - 1)
 
     @property
     def shows_video(self) -> bool:
         return self.capture is not None and self.cameras.kind == "capture"
-
-    def next_camera(self) -> None:
-        self.cameras.next(self.camera())
-
-    def choose(self, kind: str) -> None:
-        self.cameras.choose(kind, self.camera())
 
     def add_key(self) -> None:
         """Record the camera of now as a key of the path."""

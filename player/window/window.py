@@ -19,7 +19,6 @@ from player.window.budgeted import Budgeted
 from player.window.keyboard import Keyboard
 from player.window.panels.panels import Panels
 from player.window.parts import opened_parts
-from player.window.picture import PictureLayer
 from player.window.pointer import Pointer
 from player.window.recorder import save_picture
 from player.window.screen import Screen
@@ -54,7 +53,6 @@ class Window:
         self.clock, self.screen = clock, Screen(size, null=null)
         self.parts = opened_parts(show, self.screen, clock)
         self.keyboard, self.pointer = Keyboard(self.parts), Pointer(self.parts)
-        self.backdrop = PictureLayer(self.screen.context)
         self.parts.state.layout.panels_on = panels
         self.panels = Panels(self.parts)
         show.fit_orbit(self.parts.state.layout.area[2:])
@@ -191,10 +189,8 @@ class Window:
         parts.prices.drawn(look, parts.state.last.poses, camera)
         if parts.wipe is not None:
             screen.use()
-            around = look.background.color[:3]
-            if viewpoint.shows_video:
-                parts.wipe.draw(viewpoint.video_frame, area, size, around)
-            self.backdrop.fill(around, (0, 0, *size), size, under=True)
+            frame = viewpoint.video_frame if viewpoint.shows_video else None
+            parts.wipe.draw(frame, area, size, look.background.color[:3])
 
     # -- the loop
 
@@ -266,7 +262,7 @@ class Window:
             parts.recorder.close()
         finally:
             parts.state.playback.close()
-            for thing in (self.panels, parts.wipe, self.backdrop, parts.look.renderer):
+            for thing in (self.panels, parts.wipe, parts.look.renderer):
                 if thing is not None:
                     thing.release()
             self.screen.close()

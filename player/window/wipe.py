@@ -48,10 +48,19 @@ class Wipe:
         self.move((x - left) / width)
 
     def draw(
+        self, frame: int | None, area: tuple[int, int, int, int], size: tuple[int, int],
+        around: tuple[float, float, float],
+    ) -> None:  # fmt: skip
+        """Draw a frame of the video, None where another camera is looked through, into the framebuffer in use, after
+        the avatars were drawn on nothing (alpha 0). `around` is the colour under all that is left, and beside the
+        video, where its camera saw nothing and the avatar is hidden too."""
+        if frame is not None:
+            self._draw_video(frame, area, size, around)
+        self.picture.fill(around, (0, 0, *size), size, under=True)
+
+    def _draw_video(
         self, frame: int, area: tuple[int, int, int, int], size: tuple[int, int], around: tuple[float, float, float]
     ) -> None:
-        """Draw into the framebuffer in use, after the avatars were drawn on nothing (alpha 0); `around` is the
-        colour beside the video, where its camera saw nothing and the avatar is hidden too."""
         if frame != self.shown:
             self.picture.show(self.capture.image(frame), self.capture.cameras[frame])
             self.shown = frame

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tiny_avatar import tiny_avatar
 
-from avatar.motion.clip import Clip
+from avatar.motion.clip import Motion
 from player.scene.scene import Scene, SceneAvatar
 from player.scene.track import Track
 from player.window.show import opened_show
@@ -94,15 +94,15 @@ def test_after_30_days_with_a_stall_and_a_clock_set_back_time_goes_on_evenly(win
 def test_a_motion_of_30_days_is_stepped_and_scrubbed_frame_by_frame(window):
     """77,760,000 frames: every frame asked for is the frame shown, in the memory of two blocks."""
 
-    def clip(start, stop):
+    def block(start, stop):
         root = np.zeros((stop - start, 3))
         root[:, 0] = np.arange(start, stop)
-        return Clip(np.zeros((stop - start, 52, 3)), root, 30.0)
+        return np.zeros((stop - start, 52, 3)), root
 
     frames = int(MONTH) * 30
     playback = window.parts.state.playback
     playback.close()
-    playback.tracks.append(Track(clip, frames, 30.0))
+    playback.tracks.append(Track(Motion("", frames, 30.0, (), block)))
     playback.timeline = Timeline(frames, 30.0)
     playback.timeline.playing = False
     for second in (0.0, 12_345.6, MONTH / 2, MONTH - 1.0):

@@ -1,7 +1,6 @@
 """Feet held where they stand: how far they slide, what bends, and that nothing changes where nothing is held."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -36,10 +35,7 @@ def joints(avatar):
 
 
 def held_on(clip: Clip, joints, lock: FootLock = LOCK) -> HeldFeet:
-    def stretch(start, stop):
-        return replace(clip, axis_angle=clip.axis_angle[start:stop], root=clip.root[start:stop])
-
-    return HeldFeet(stretch, len(clip.root), clip.rate, joints, lock)
+    return HeldFeet(clip, joints, lock)
 
 
 def held_poses(feet: HeldFeet, clip: Clip):
@@ -144,8 +140,7 @@ def test_where_no_foot_is_held_it_is_the_very_pose(joints, sliding):
 def test_off_is_bit_identical_and_shares_of_a_film_are_the_film():
     entry = SceneAvatar("mannequin", "walking")
     plain, asked = (Stage(Scene((entry,), effects=replace(PLAIN, foot_lock=lock)), 1) for lock in (None, LOCK))
-    track = plain.tracks[0]
-    raw = partial(Track.pose, Track(track.clip, track.frames, track.rate))
+    raw = Track(plain.tracks[0].motion).pose
     changed = 0
     for frame in range(0, plain.frames, 5):
         (a, root), (b, same) = plain.poses(frame)[0], raw(frame / plain.rate)
@@ -163,7 +158,7 @@ def test_off_is_bit_identical_and_shares_of_a_film_are_the_film():
 
 def test_a_motion_of_one_frame_and_one_that_never_stands_are_left_alone(joints):
     clip = Clip(np.zeros((1, 52, 3)), np.zeros((1, 3)), 30.0)
-    track = Track(lambda start, stop: clip, 1, 30.0, joints=joints, foot_lock=LOCK)
+    track = Track(clip, joints=joints, foot_lock=LOCK)
     assert np.array_equal(track.pose(0.0)[1], clip.root[0])
     flying = Clip(np.zeros((50, 52, 3)), np.cumsum(np.full((50, 3), 0.2), 0), 30.0)
     feet = held_on(flying, joints)

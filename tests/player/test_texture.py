@@ -1,6 +1,5 @@
 """Images as textures: every mipmap that is drawn, on the device, against means over blocks of the image."""
 
-import ctypes
 from ctypes import c_int, c_uint, c_void_p
 
 import moderngl
@@ -20,7 +19,7 @@ def block_means(image, level):
 def held_level(context, texture, level, height, width):
     """What the device holds, as RGBA: moderngl reads no levels but those it made."""
     out = np.zeros((height, width, 4), np.uint8)
-    read = ctypes.CFUNCTYPE(None, c_uint, c_int, c_uint, c_uint, c_void_p)(context.driver.address("glGetTexImage"))
+    read = context.function("glGetTexImage", c_uint, c_int, c_uint, c_uint, c_void_p)
     texture.use()
     read(0x0DE1, level, 0x1908, 0x1401, out.ctypes.data)  # of a 2D texture, RGBA, unsigned bytes
     return out

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from avatar.motion.clip import Clip
+from avatar.motion.clip import Clip, Motion
 from avatar.rotation import matrix_from_axis_angle
 from player.scene.motions import BLOCK
 from player.scene.track import Track
@@ -84,14 +84,14 @@ def test_a_timeline_needs_frames_and_a_rate():
 def numbered(frames, rate=30.0, reads=None):
     """A motion whose pelvis is as high as the frame's number."""
 
-    def clip(start, stop):
+    def block(start, stop):
         if reads is not None:
             reads.append((start, stop))
         root = np.zeros((stop - start, 3))
         root[:, 1] = np.arange(start, stop)
-        return Clip(np.zeros((stop - start, 52, 3)), root, rate)
+        return np.zeros((stop - start, 52, 3)), root
 
-    return Track(clip, frames, rate)
+    return Track(Motion("", frames, rate, (), block))
 
 
 def test_each_track_has_its_own_rate_start_and_length():
@@ -117,7 +117,7 @@ def test_a_track_reads_blocks_and_keeps_two():
 def test_a_place_turns_the_body_about_the_vertical_and_then_moves_it():
     rng = np.random.default_rng(1)
     axis_angle, root = rng.normal(size=(1, 52, 3)), rng.normal(size=(1, 3))
-    track = Track(lambda a, b: Clip(axis_angle, root, 30.0), 1, 30.0, at=np.array([1.0, 0.0, -2.0]), turn=2.0)
+    track = Track(Clip(axis_angle, root, 30.0), at=np.array([1.0, 0.0, -2.0]), turn=2.0)
     turned = matrix_from_axis_angle(np.array([0.0, 2.0, 0.0]))
     pose, place = track.pose(0.0)
     assert np.allclose(place, turned @ root[0] + [1, 0, -2], atol=1e-12)

@@ -27,7 +27,7 @@ Block = tuple[str, Sequence[tuple[str, str]]]
 def hud_panel(parts: WindowParts) -> None:
     """Frames a second with the last frames' milliseconds, in the picture's corner; below, what was said."""
     state, film = parts.state, parts.recorder.film
-    left, top, width, _ = _area_in_units(state)
+    left, top, width = (length / state.layout.screen.scale for length in state.layout.area[:3])
     draw, letter = imgui.get_background_draw_list(), imgui.get_font_size()
     times = 1000 * np.array(state.last.times)
     lines = []
@@ -139,9 +139,3 @@ def in_columns(blocks: Sequence[Block], count: int) -> list[list[Block]]:
         if len(columns) <= count:
             return columns
         high += 1
-
-
-def _area_in_units(state: WindowState) -> tuple[float, float, float, float]:
-    left, top, width, height = state.layout.area
-    scale = state.layout.screen.scale
-    return left / scale, top / scale, width / scale, height / scale

@@ -35,9 +35,10 @@ def avatars_panel(ui: Widgets, parts: WindowParts) -> None:
     turn = ui.slider("turn", float(np.degrees(track.turn)), (-180.0, 180.0), "Turn the avatar about the vertical.")
     if turn is not None:
         track.turn = float(np.radians(turn))
-    if track.frames > 1:
+    if track.motion.frames > 1:
         tip = "The second of its motion at which this avatar begins."
-        start = ui.slider("start, s", track.start, (0.0, track.frames / track.rate), tip, name="start at", form="%.2f")
+        span = (0.0, track.motion.frames / track.motion.rate)
+        start = ui.slider("start, s", track.start, span, tip, name="start at", form="%.2f")
         track.start = track.start if start is None else start
     ui.action("Pose by hand" if posing.edit is None else "Stop posing", actions.POSE, parts, name="pose")
     joint = selection.joint
@@ -88,7 +89,7 @@ def camera_panel(ui: Widgets, parts: WindowParts) -> None:
     tip = "What the picture is seen through. Key: c takes the next."
     chosen = ui.choice("camera", kinds.index(cameras.kind), [NAMES.get(kind, kind) for kind in kinds], tip)
     if chosen is not None:
-        viewpoint.choose(kinds[chosen])
+        cameras.choose(kinds[chosen], viewpoint.camera())
     if cameras.kind in ("orbit", "turntable"):
         ui.action("Reset", actions.RESET_CAMERA, parts, name="reset camera")
         viewpoint.follow = ui.checkbox(
