@@ -28,19 +28,16 @@ def with_hands(motion: Motion, choice: str, body: Body | None = None) -> Motion:
         raise ValueError(f"hands should be one of {', '.join(HANDS)}, is {choice!r}")
     if choice == "file":
         return motion
-    if choice == "flat":
-        hands, note = np.zeros((30, 3)), "hands: flat, in place of the file's"
-    elif choice == "relaxed":
-        hands, note = relaxed_hands(), "hands: relaxed, in place of the file's"
+    if choice != "mean":
+        hands, name = relaxed_hands() if choice == "relaxed" else np.zeros((30, 3)), choice
+    elif body is None or body.hands is None:
+        found = "no model" if body is None else f"{body.name} without them"
+        raise AssetError(
+            "--hands mean: expected your SMPL+H model with hands_meanl and hands_meanr, given with --body, "
+            f"found {found}"
+        )
     else:
-        if body is None or body.hands is None:
-            found = "no model" if body is None else f"{body.name} without them"
-            raise AssetError(
-                "--hands mean: expected your SMPL+H model with hands_meanl and hands_meanr, given with --body, "
-                f"found {found}"
-            )
-        hands = body.hands.mean.reshape(30, 3)
-        note = f"hands: the mean of {body.name}, in place of the file's"
+        hands, name = body.hands.mean.reshape(30, 3), f"the mean of {body.name}"
 
     def change(axis_angle: Array, root: Array) -> tuple[Array, Array]:
         axis_angle = axis_angle.copy()
@@ -48,4 +45,4 @@ def with_hands(motion: Motion, choice: str, body: Body | None = None) -> Motion:
         return axis_angle, root
 
     kept = replace(motion, notes=tuple(n for n in motion.notes if not n.startswith("hands:")))
-    return kept.changed(note, change)
+    return kept.changed(f"hands: {name}, in place of the file's", change)

@@ -10,17 +10,17 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_391,
     "command": 1_130,
-    "avatar": 8_435,
+    "avatar": 8_432,
     "geometry": 1_719,
     "capture": 11_805,
     "train": 5_787,
     "bake": 4_469,
-    "player": 18_774,
+    "player": 18_730,
     "shaders": 1_036,
     "synth": 2_703,
     "bench": 5_852,
     "selfscan": 412,
-    "tests": 35_838,
+    "tests": 35_819,
 }
 
 

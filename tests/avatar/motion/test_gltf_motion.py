@@ -45,6 +45,14 @@ def pose_tracks(axis_angle, rate, root=None):
     return tracks if root is None else [*tracks, (0, "translation", "LINEAR", times, root)]
 
 
+RADIAN = quaternion_from_axis_angle(np.array([[0.0, 0, 0], [0, 0, 1.0]]))
+
+
+def turning(joint, times, keys=RADIAN, interpolation="LINEAR"):
+    """A rig of ours one of whose joints turns, by a radian about z."""
+    return add_animation(rigs.rig()[0], [(J[joint], "rotation", interpolation, times, keys)])
+
+
 def skeleton_of(gltf):
     """The file's nodes alone, without what they show."""
     shown = "meshes skins materials textures images buffers bufferViews accessors animations".split()
@@ -173,19 +181,15 @@ def test_step_linear_and_spline_are_the_specifications():
 
 
 def test_linear_rotations_take_the_short_way_whatever_the_sign():
-    q = quaternion_from_axis_angle(np.array([[0.0, 0, 0], [0, 0, 1.0]]))
-    a = Channel(np.array([0.0, 1]), q, "LINEAR", True).at(np.array([0.5]))
-    b = Channel(np.array([0.0, 1]), q * [[1], [-1]], "LINEAR", True).at(np.array([0.5]))
+    a = Channel(np.array([0.0, 1]), RADIAN, "LINEAR", True).at(np.array([0.5]))
+    b = Channel(np.array([0.0, 1]), RADIAN * [[1], [-1]], "LINEAR", True).at(np.array([0.5]))
     half = matrix_from_axis_angle(np.array([[0, 0, 0.5]]))
     np.testing.assert_allclose(matrix_from_quaternion(a), half, atol=1e-12)
     np.testing.assert_allclose(matrix_from_quaternion(b), half, atol=1e-12)
 
 
 def test_keys_that_are_far_apart_are_sampled_at_thirty_frames(tmp_path):
-    document, _ = rigs.rig()
-    q = quaternion_from_axis_angle(np.array([[0.0, 0, 0], [0, 0, 1.0]]))
-    add_animation(document, [(J["left_elbow"], "rotation", "LINEAR", [0.5, 2.5], q)])
-    motion = read_gltf_motion(rigs.write(tmp_path / "a.gltf", document))
+    motion = read_gltf_motion(rigs.write(tmp_path / "a.gltf", turning("left_elbow", [0.5, 2.5])))
     assert (motion.frames, motion.rate) == (61, 30)
     assert any("starts at 0.500 s" in n for n in motion.notes) and any("far apart" in n for n in motion.notes)
     elbow = motion.read().axis_angle[:, J["left_elbow"], 2]
@@ -228,9 +232,8 @@ SPOILT = {
 
 @pytest.mark.parametrize("changes, message", SPOILT.values(), ids=SPOILT)
 def test_what_cannot_be_played_is_refused_by_field(tmp_path, changes, message):
-    document, _ = rigs.rig()
-    q = quaternion_from_axis_angle(np.array([[0.0, 0, 0], [0, 0, 1.0]]))
-    document = add_animation(document, [(k, "rotation", "LINEAR", [0.0, 0.5], q) for k in (0, J["left_knee"])])
+    tracks = [(k, "rotation", "LINEAR", [0.0, 0.5], RADIAN) for k in (0, J["left_knee"])]
+    document = add_animation(rigs.rig()[0], tracks)
     for (*way, key), value in changes.items():
         holder = document
         for step in way:
@@ -243,18 +246,12 @@ def test_what_cannot_be_played_is_refused_by_field(tmp_path, changes, message):
 
 @pytest.mark.parametrize("times", [[0.5, 0.0], [0.5, 0.5], [-1.0, 0.0], [0.0, 1e9]])
 def test_times_that_do_not_run_forward_are_refused(tmp_path, times):
-    document, _ = rigs.rig()
-    q = quaternion_from_axis_angle(np.array([[0.0, 0, 0], [0, 0, 1.0]]))
-    add_animation(document, [(J["head"], "rotation", "LINEAR", times, q)])
     with pytest.raises(AssetError, match="increasing seconds"):
-        read_gltf_motion(rigs.write(tmp_path / "a.gltf", document))
+        read_gltf_motion(rigs.write(tmp_path / "a.gltf", turning("head", times)))
 
 
 def test_a_spline_through_zero_is_refused_and_not_turned_into_nan(tmp_path):
-    document, _ = rigs.rig()
-    q = np.array([0.0, 0, 0, 1])
-    zero = np.zeros(4)
-    keys = np.array([zero, q, zero, zero, -q, zero])
-    add_animation(document, [(J["head"], "rotation", "CUBICSPLINE", [0.0, 2.0], keys)])
+    q, zero = np.array([0.0, 0, 0, 1]), np.zeros(4)
+    document = turning("head", [0.0, 2.0], np.array([zero, q, zero, zero, -q, zero]), "CUBICSPLINE")
     with pytest.raises(AssetError, match="rotation of head passes zero"):
         read_gltf_motion(rigs.write(tmp_path / "a.gltf", document)).read()

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pose_twins import LIMBS, degrees_between, directions
 
 from avatar.body import builtin_body
 from avatar.motion.bvh import open_bvh, read_bvh
@@ -105,7 +106,8 @@ def stick_axes(joints, *, mirrored, rolls):
     return axes
 
 
-def degrees_between(a, b):
+def turn_between(a, b):
+    """Degrees between rotations."""
     return np.degrees(np.linalg.norm(axis_angle_from_matrix(np.swapaxes(a, -1, -2) @ b), axis=-1))
 
 
@@ -124,16 +126,8 @@ def test_a_stick_along_x_moves_as_its_twin_in_t_pose(name, start, stop, mirrored
     assert any("no person's" in note for note in stick.notes)
     a, b = twin.read(), stick.read()
     A, B = (joint_transforms(c.axis_angle, skeleton.joints, c.root) for c in (a, b))
-    for chain in (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist")):
-        for side in ("left", "right"):
-            for upper, lower in zip(chain, chain[1:], strict=False):
-                ends = [J[f"{side}_{upper}"], J[f"{side}_{lower}"]]
-                one, two = (G[:, ends[1], :3, 3] - G[:, ends[0], :3, 3] for G in (A, B))
-                angle = [
-                    np.degrees(np.arccos(np.clip(unit(p) @ unit(q), -1, 1))) for p, q in zip(one, two, strict=True)
-                ]
-                within(angle, 1e-4, "degrees")
-    off = degrees_between(A[:, :22, :3, :3], B[:, :22, :3, :3]).max(0)
+    within(degrees_between(*(directions(G[..., :3, 3], LIMBS) for G in (A, B))), 1e-4, "degrees")
+    off = turn_between(A[:, :22, :3, :3], B[:, :22, :3, :3]).max(0)
     within(off, 12.0, "degrees")
     np.testing.assert_allclose(a.root, b.root, atol=0.01)
 
@@ -195,9 +189,8 @@ def test_a_real_walk_on_bones_along_x_is_the_walk(data, within):
     G = joint_transforms(source.axis_angle, builtin_body("male").joints, source.root)[:, :22]
     axes = stick_axes(joints, mirrored=False, rolls=(0, 0, 0, 0))
     back = retarget(MadeRig(joints, G[..., :3, :3], G[..., :3, 3], axes)).read()
-    off = degrees_between(
-        G[..., :3, :3], joint_transforms(back.axis_angle, builtin_body("male").joints)[:, :22, :3, :3]
-    )
+    mine = joint_transforms(back.axis_angle, builtin_body("male").joints)[:, :22, :3, :3]
+    off = turn_between(G[..., :3, :3], mine)
     within(off[:, [J["pelvis"], J["spine3"], J["head"]]], 1e-3, "degrees")
     legs = [J[f"{side}_{name}"] for side in ("left", "right") for name in ("hip", "knee", "ankle")]
     within(off[:, legs], 6.0, "degrees")
@@ -232,10 +225,8 @@ def test_bones_of_real_people_point_where_the_files_bones_point(person, file, pe
     G = joint_transforms(clip.axis_angle, joints, clip.root)
     own = file == "bvhpython_mocapbank"
     names = {n: n.capitalize() if own else MIXAMO[n] for n in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")}
-    for side in ("left", "right"):
-        for upper, lower in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")):
-            a, b = (bvh.names.index(side.capitalize() + names[n]) for n in (upper, lower))
-            file_bone = theirs[:, b] - theirs[:, a]
-            mine = G[:, J[f"{side}_{lower}"], :3, 3] - G[:, J[f"{side}_{upper}"], :3, 3]
-            cosine = (file_bone * mine).sum(-1) / np.linalg.norm(file_bone, axis=-1) / np.linalg.norm(mine, axis=-1)
-            within(np.degrees(np.arccos(np.clip(cosine, -1, 1))), 0.01, "degrees")
+    placed = np.zeros((len(theirs), 52, 3))
+    for joint in {name for pair in LIMBS for name in pair}:
+        side, _, name = joint.partition("_")
+        placed[:, J[joint]] = theirs[:, bvh.names.index(side.capitalize() + names[name])]
+    within(degrees_between(directions(G[..., :3, 3], LIMBS), directions(placed, LIMBS)), 0.01, "degrees")
