@@ -23,13 +23,14 @@ from avatar.motion.read import frame_files
 from avatar.motion.retarget import retarget
 from command.errors import AssetError
 from command.progress import plural
-from files.npz import NpzFile
+from files.npz import NpzFile, NpzMember
 
 WHAT = "a result of SAM 3D Body"
 # the names that people save the fields under
 JOINTS_KEYS = ("pred_joint_coords", "joint_coords")
 TURNS_KEYS = ("pred_global_rots", "joint_global_rots", "joint_rots")
 CAMERA_KEYS = ("pred_cam_t", "cam_t")
+SHAPES = {JOINTS_KEYS: (MHR_JOINTS, 3), TURNS_KEYS: (MHR_JOINTS, 3, 3), CAMERA_KEYS: (3,)}
 LARGEST = 1e6  # metres
 # the largest difference of R^T R from the identity
 NOT_A_ROTATION = 0.01
@@ -115,23 +116,17 @@ def _key(npz: NpzFile, names: tuple[str, ...]) -> str | None:
 
 def _fields(npz: NpzFile, place: str) -> tuple[int, Rows]:
     """Frames of one file and what reads them: joints, rotations, places before the camera."""
-    path = npz.path
-    keys = {}
-    for names in (JOINTS_KEYS, TURNS_KEYS):
+    path, frames = npz.path, -1
+    fields: list[tuple[NpzMember, tuple[int, ...]]] = []
+    for names, tail in SHAPES.items():
         key = _key(npz, names)
+        if key is None and names == CAMERA_KEYS:
+            continue
         if key is None:
             raise AssetError(
                 f"{path}: no {names[0]}; expected {WHAT}, the file has {', '.join(sorted(npz.names)[:12])}"
             )
-        keys[names] = key
-    members = {key: npz.member(key) for key in keys.values()}
-    camera = _key(npz, CAMERA_KEYS)
-    if camera is not None:
-        members[camera] = npz.member(camera)
-    tails = {keys[JOINTS_KEYS]: (MHR_JOINTS, 3), keys[TURNS_KEYS]: (MHR_JOINTS, 3, 3), camera: (3,)}
-    frames = -1
-    for key, member in members.items():
-        tail = tails[key]
+        member = npz.member(key)
         stacked = member.shape[1:] == tail
         if (not stacked and member.shape != tail) or member.dtype.kind not in "fiu":
             raise AssetError(
@@ -139,13 +134,13 @@ def _fields(npz: NpzFile, place: str) -> tuple[int, Rows]:
             )
         count = member.shape[0] if stacked else 1
         if count == 0 or frames not in (-1, count):
-            expected = "at least 1" if count == 0 else f"{frames} as in {keys[JOINTS_KEYS]}"
+            expected = "at least 1" if count == 0 else f"{frames} as in {fields[0][0].name}"
             raise AssetError(f"{path}: {key} has {count} frames, expected {expected}")
         frames = count
+        fields.append((member, tail))
 
-    def values(key: str, start: int, stop: int) -> Array:
+    def values(member: NpzMember, tail: tuple[int, ...], start: int, stop: int) -> Array:
         """A field in frames start .. stop - 1, checked."""
-        member, tail = members[key], tails[key]
         if member.shape == tail:
             with np.errstate(invalid="ignore"):
                 found = member.all().astype(np.float64)[None][start:stop]
@@ -155,20 +150,19 @@ def _fields(npz: NpzFile, place: str) -> tuple[int, Rows]:
         if bad.any():
             where = np.argwhere(bad)[0]
             joint = f", joint {int(where[1])}" if len(tail) > 1 else ""
-            raise AssetError(
-                f"{path}: {key} is not finite, or beyond {LARGEST:g}, first in frame {start + int(where[0])}{joint}"
-            )
+            place = f"first in frame {start + int(where[0])}{joint}"
+            raise AssetError(f"{path}: {member.name} is not finite, or beyond {LARGEST:g}, {place}")
         return found
 
     def rows(start: int, stop: int) -> tuple[Array, Array, Array]:
-        joints, R = values(keys[JOINTS_KEYS], start, stop), values(keys[TURNS_KEYS], start, stop)
-        _check(path, joints, R, start, keys)
-        return joints, R, np.zeros((stop - start, 3)) if camera is None else values(camera, start, stop)
+        joints, R, *camera = (values(*field, start, stop) for field in fields)
+        _check(path, joints, R, start, [member.name for member, _ in fields])
+        return joints, R, camera[0] if camera else np.zeros((stop - start, 3))
 
     return frames, rows
 
 
-def _check(path: Path, joints: Array, R: Array, start: int, keys: dict[tuple[str, ...], str]) -> None:
+def _check(path: Path, joints: Array, R: Array, start: int, names: list[str]) -> None:
     """Refuse what is no rotation, and joints that fall together."""
     used = sorted({k for pair in NUMBERS.values() for k in pair})
     error = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max((-1, -2))
@@ -176,7 +170,7 @@ def _check(path: Path, joints: Array, R: Array, start: int, keys: dict[tuple[str
     if (error > NOT_A_ROTATION).any():
         frame, k = (int(v) for v in np.argwhere(error > NOT_A_ROTATION)[0])
         raise AssetError(
-            f"{path}: {keys[TURNS_KEYS]} should be rotations, joint {used[k]} of frame {start + frame} is none "
+            f"{path}: {names[1]} should be rotations, joint {used[k]} of frame {start + frame} is none "
             f"({R[frame, used[k]].round(3).tolist()})"
         )
     places = {name: joints[:, place] for name, (_, place) in NUMBERS.items()}
@@ -187,7 +181,7 @@ def _check(path: Path, joints: Array, R: Array, start: int, keys: dict[tuple[str
         length = np.linalg.norm(places[b] - places[a], axis=-1)
         if (length < SHORTEST).any():
             frame = start + int(np.argmax(length < SHORTEST))
-            raise AssetError(f"{path}: {keys[JOINTS_KEYS]}: {a} and {b} of frame {frame} are at one place")
+            raise AssetError(f"{path}: {names[0]}: {a} and {b} of frame {frame} are at one place")
 
 
 def _turned(path: Path, R: Array, joints: Array, notes: list[str]) -> Float[Array, "3"]:

@@ -10,7 +10,7 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_391,
     "command": 1_130,
-    "avatar": 8_432,
+    "avatar": 8_426,
     "geometry": 1_719,
     "capture": 11_805,
     "train": 5_787,
