@@ -26,7 +26,7 @@ from bench.ladder.rung_scores import compared, crop_of
 from experiments.baking_scores import FRAME_SIZE, References, timed_in_turns
 from player.draw.posing import PosedBones, Poser
 from player.gl.constants import avatar_constants
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.gl.shader import uniform
 from player.gl.texture import image_texture
 from player.scene.renderer import Pose, Renderer
@@ -190,7 +190,7 @@ def format_rows(path: Path, references: References, seconds: float) -> dict[str,
     avatar = replace(avatar, levels=avatar.levels[:1])
     shown = [(one.pose, one.camera.resized(FRAME_SIZE)) for one in references.seen if one.region in ("total", "head")]
     bodies = [(one.pose, one.camera.resized(FRAME_SIZE)) for one in references.bodies]
-    context = opened("auto", None)
+    context = open_context()
     try:
         with ExitStack() as released:
             found = variants(context, avatar)

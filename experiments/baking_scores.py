@@ -31,7 +31,7 @@ from experiments.alternating import Times, alternate, here
 from experiments.short_training import read_kept
 from experiments.table_row import digest
 from files.whole import write_json
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.scene.renderer import Pose, Renderer
 
 FORMAT = "selfscan-baking-scores"
@@ -177,7 +177,7 @@ def scored(folder: Path, references: References) -> dict[str, Any]:
     found = read_kept(folder / "scores.json", {"format": FORMAT, "stamp": stamp})
     if found is not None:
         return found
-    avatar, context = read_avatar(folder / "avatar.glb"), opened("auto", None)
+    avatar, context = read_avatar(folder / "avatar.glb"), open_context()
     try:
         scores = {name: avatar_scores(context, avatar, asked) for name, asked in references.pictures.items()}
     finally:
@@ -220,7 +220,7 @@ def avatar_pictures(context: Context, avatar: Avatar, views: Sequence[tuple[Pose
 
 def frame_times(avatars: Mapping[str, Path], references: References, seconds: float) -> dict[str, Any]:
     """Milliseconds of a frame of each avatar in its own view mode, in turns, and as a multiple of the default's."""
-    context = opened("auto", None)
+    context = open_context()
     try:
         renderers: dict[str, Renderer] = {}
         for name, path in avatars.items():

@@ -30,7 +30,7 @@ from player.draw.posed_mesh import BASE
 from player.draw.posing import Poser, screen_bounds
 from player.draw.raster import clip_planes
 from player.gl.blocks import BINDING, FRAME, bind_block, block_bytes
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.gl.shader import compile_program
 from player.gl.texture import image_texture, read_finer_mip
 from player.scene.effects import PLAIN, STUDIO
@@ -139,7 +139,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=240, help="pairs of neighbouring frames")
     command = parser.parse_args(argv)
     avatar = mannequin() if command.avatar is None else read_avatar(command.avatar)
-    context = opened("auto", None)
+    context = open_context()
     try:
         motion = motion_for(avatar, "walking")
         camera = fitted_camera(extent(avatar, motion.read(FRAMES.start, FRAMES.stop)), SIDE, SIZE, elevation=ABOVE)

@@ -22,7 +22,7 @@ from player.budget.ladder import PricedRung, best_within, frame_times, frontier,
 from player.budget.measure import BudgetScene, price
 from player.budget.rung import Rung
 from player.effects.background import Background
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.scene.arguments import parse_size
 from player.scene.effects import PLAIN
 
@@ -77,7 +77,7 @@ def main() -> None:
     avatar = read_avatar(asked.avatar)
     seen = [([frame.pose], frame.camera) for frame in motion_frames(avatar, 4, asked.size)]
     scene = BudgetScene([avatar], seen, asked.size, PLAIN, Background(), reads_back=False)
-    context = opened("auto", None)
+    context = open_context()
     try:
         with Quiet() as quiet:
             rows = tried_budgets(context, scene, count=asked.count, frames=asked.frames)

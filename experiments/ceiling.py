@@ -30,7 +30,7 @@ from files.npz import read_npz
 from files.picture import read_picture
 from files.whole import write_json
 from player.draw.raster import Rasteriser
-from player.gl.context import opened
+from player.gl.context import open_context
 from synth.light import light_of
 from synth.photo import Studio
 from synth.subject import SynthSubject
@@ -98,7 +98,7 @@ def measured_ceiling(capture: Path, poses: int | None) -> Json:
     """Novel poses of the true mesh under our weights, by region: pictures and distances."""
     facts, truth = read_truth_facts(capture), read_true_mesh(capture)
     views = some_poses(read_held_out(capture, "novel_pose"), poses)
-    with opened("auto", None) as context:
+    with open_context() as context:
         raster = Rasteriser(context)
         best = CeilingDrawer(raster, capture, facts, truth)
         judge = PictureJudge(truth, best.draw, None, raster)

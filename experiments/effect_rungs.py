@@ -27,7 +27,7 @@ from files.whole import whole_folder, write_json, write_text
 from player.budget.ladder import frame_times, rungs_of
 from player.budget.rung import Rung
 from player.effects.light import Light
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.scene.effects import PLAIN, Effects
 
 Picture = Float[np.ndarray, "height width 3"]
@@ -143,7 +143,7 @@ def main(argv: list[str] | None = None) -> int:
     avatar = read_avatar(command.avatar)
     frames = motion_frames(avatar, FRAMES) if command.capture is None else held_out_frames(command.capture, FRAMES)
     truths = [frame.truth.image() for frame in frames if frame.truth is not None]
-    rung, context = rungs_of(avatar)[0], opened("auto", None)
+    rung, context = rungs_of(avatar)[0], open_context()
     try:
         plain = rung_pictures(context, avatar, rung, frames)
         masks = [

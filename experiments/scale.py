@@ -33,7 +33,7 @@ from bench.report.writer import markdown_table
 from experiments.alternating import here
 from files.whole import whole_folder, write_json, write_text
 from player.draw.drawing import Pose
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.scene.arguments import parse_size
 from player.scene.framing import extent, fitted_camera
 from player.scene.mannequin import mannequin
@@ -207,7 +207,7 @@ def bench_scale(
     report: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Measure every sweep, write scale.json and scale.md into folder `out`."""
-    context = opened("auto", None)
+    context = open_context()
     last = len(avatar.levels) - 1
     try:
         with Quiet() as quiet:

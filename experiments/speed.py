@@ -30,7 +30,7 @@ from experiments.speed_page import markdown, plot
 from files.whole import whole_folder, write_json, write_text
 from player.budget.ladder import views_of
 from player.budget.rung import VIEW_NAMES
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.scene.arguments import parse_size
 from player.scene.framing import extent, facing, fitted_camera
 from player.scene.motions import motion_for
@@ -225,7 +225,7 @@ def speed(
     """Measure, write speed.json, speed.md and speed.png into folder `out`, and return what was written."""
     avatar, stand_in = with_stand_in(read_avatar(path))
     poses, camera_of = body_frames(avatar)
-    context = opened("auto", None)
+    context = open_context()
     try:
         with Quiet() as quiet:
             measured = []

@@ -25,7 +25,7 @@ from experiments.alternating import Turn, alternate
 from experiments.gl_counts import counting, counts_of
 from experiments.live_sender import sending
 from player.film.film import Film
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.live.inbox import Inbox
 from player.live.latency import Latency
 from player.live.playback import LivePlayback
@@ -291,7 +291,7 @@ def long_run(avatar: Avatar, poses: Sequence[Pose], *, frames: int = 10_000, siz
 
     camera = fitted_camera(np.array([p[1] for p in poses]) + [[0, 0.9, 0]], 0.0, size)
     with counting():
-        context = opened("auto", None)
+        context = open_context()
     counts = counts_of(context)
     try:
         renderer = Renderer(context, [avatar], size, view=views_of(avatar)[0])

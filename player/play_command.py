@@ -15,7 +15,6 @@ from command.settings import AtLeast, OneOf
 from player.budget.ladder import parse_budget
 from player.effects.background import Background
 from player.effects.ground import Ground
-from player.gl.context import NoContextError
 from player.live.command import LiveCommand
 from player.scene import arguments
 from player.scene.address import Address, parse_address
@@ -131,7 +130,7 @@ def play_main(argv: list[str]) -> int:
     command = parse(PlayCommand, argv, PLAY)
     try:
         return play_scene(scene_of(command), command)
-    except (ValueError, NoContextError) as error:
+    except ValueError as error:
         raise AssetError(str(error)) from None
 
 

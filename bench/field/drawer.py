@@ -12,7 +12,7 @@ from bench.field.posed_field import Directions, MaskedPicture, PosableSurface, P
 from bench.score.metrics import rectangle
 from player.draw.raster import Rasteriser
 from player.effects.light import Light
-from player.gl.context import opened
+from player.gl.context import open_context
 from player.scene.effects import PLAIN
 from player.scene.renderer import Renderer
 from train.run import Run, read_run
@@ -50,7 +50,7 @@ class Drawer:
             self.avatar = read_avatar(self.path)
             self.provenance = self.avatar.provenance
             self.surface = level_surface(self.avatar, self.avatar.levels[0])
-        self.context = opened("auto", None)
+        self.context = open_context()
         self.raster = Rasteriser(self.context)
         self.renderers: dict[tuple[int, int], Renderer] = {}
 

@@ -16,7 +16,7 @@ from bench.inspect.page import SECTIONS, PageSection, page
 from command.errors import missing_package
 from command.progress import plural, progress
 from files.whole import whole_folder
-from player.gl.context import opened
+from player.gl.context import open_context
 
 
 def inspect(options: InspectCommand) -> Inspector:
@@ -33,7 +33,7 @@ def inspect(options: InspectCommand) -> Inspector:
     truth = None if capture is None else accuracy.from_truth(avatar, avatar.levels[0], capture)
     with ExitStack() as stack:
         folder = stack.enter_context(whole_folder(options.output))
-        context = opened(options.context, None)
+        context = open_context(options.context, None)
         stack.callback(context.release)  # again does nothing
         inspector = Inspector(avatar, path, context, KnownDistances(field, truth), options.size // 2 * 2)
         stack.callback(inspector.release)

@@ -25,7 +25,7 @@ from player.draw.plan import PassState
 from player.effects.ground import Ground
 from player.effects.light import Light
 from player.film.exposure import View, exposures
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.scene.effects import PLAIN, STUDIO, Effects
 from player.scene.framing import extent, fitted_camera
 from player.scene.motions import motion_for
@@ -128,7 +128,7 @@ class Drawn:
 
 def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[int, int] = SIZE) -> Json:
     """Time every case, write effects.json, effects.md and effects.png into folder `out`."""
-    context = opened("auto", None)
+    context = open_context()
     try:
         motion = motion_for(avatar, "walking")
         points = extent(avatar, motion.read(FRAMES.start, FRAMES.stop))

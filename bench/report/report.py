@@ -35,7 +35,7 @@ from bench.report.writer import Json
 from files.whole import whole_folder, write_json, write_text
 from player.budget.ladder import Timing, rungs_of, time_rungs
 from player.budget.rung import Rung
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 
 Pictures = list[Float[Array, "height width 3"]]
 
@@ -46,7 +46,7 @@ def bench(command: BenchCommand) -> Json:
     avatar, capture, run, rounds = read_avatar(command.avatar), command.capture, command.run, command.rounds
     count, size = command.frames, command.size or SIZE
     frames = held_out_frames(capture, count) if capture is not None else motion_frames(avatar, count, size)
-    context = opened("auto", None)
+    context = open_context()
     try:
         rungs = rungs_of(avatar)
         seen, full = [(frame.pose, frame.camera) for frame in frames], frames[0].camera.size

@@ -84,7 +84,7 @@ class Light:
         if self.by == "panorama":
             path, turn = self._panorama(draft.asked(Background))
             key = ("light of a panorama", path, turn, gamma)
-            return draft.keep(key, lambda: fitted_light(read_panorama(path), turn, gamma=gamma, most=LAMPS)).light
+            return draft.keep(key, lambda: fitted_light(read_panorama(path), turn, gamma=gamma, most=LAMPS))
         towards = np.array([self.direction, self.second_direction], np.float64)
         lamps = lamps_of(towards, np.array([self.strength, self.second_strength]))
         there = tuple(lamp for lamp in lamps if lamp.strength > 0)

@@ -9,8 +9,6 @@ order, the usual way, go negative behind a low sun and have to be windowed; lamp
 ground.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
@@ -27,13 +25,6 @@ MIDDLE_GREY = 0.18
 GAINS = (0.5, 2.0)
 DISPLAY = 2.2
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-
-
-class FittedLight(NamedTuple):
-    """Light of mean 1 over all normals, and how far it is from the panorama's, root mean square."""
-
-    light: CaptureLight
-    error: float
 
 
 def irradiance(
@@ -57,7 +48,7 @@ def irradiance(
     return cosines @ (light * solid[..., None]).reshape(-1, 3) / np.pi
 
 
-def fitted_light(panorama: Float[Array, "height width 3"], turn: float, *, gamma: float, most: int) -> FittedLight:
+def fitted_light(panorama: Float[Array, "height width 3"], turn: float, *, gamma: float, most: int) -> CaptureLight:
     """The panorama's light as at most `most` lamps and ambient, in the space of `gamma` (avatar/light.py), of mean 1.
 
     Raises:
@@ -85,8 +76,7 @@ def fitted_light(panorama: Float[Array, "height width 3"], turn: float, *, gamma
             break
         left, strengths = best[0], best[2]
         chosen.append(best[1])
-    light = CaptureLight(float(strengths[0]), lamps_of(normals[chosen], strengths[1:]), gamma=gamma, frame="world")
-    return FittedLight(light, left / NORMALS**0.5)
+    return CaptureLight(float(strengths[0]), lamps_of(normals[chosen], strengths[1:]), gamma=gamma, frame="world")
 
 
 def gains_of(mean: Float[Array, "3"]) -> tuple[float, float, float]:

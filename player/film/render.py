@@ -26,7 +26,7 @@ from player.film.film import VIDEO, film_kind, join_pieces
 from player.film.parts import LENGTH, Parts
 from player.film.shot import FULL, Shot, ShotRenderer, with_whole_paths
 from player.film.stage import Fit, Stage, camera_from_option
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.scene.arguments import with_effects, with_options
 from player.scene.effects import Effects
 from player.scene.framing import evenly
@@ -57,7 +57,7 @@ def render(command: RenderCommand) -> None:
         # what a budget buys may be any of them
         every_level = command.measured or scene.level_by_size
         reading = pool.submit(Stage, scene, None if every_level else level_of(command) + 1)
-        context = None if command.workers else opened(command.context, command.gpu)
+        context = None if command.workers else open_context(command.context, command.gpu)
         try:
             try:
                 stage = reading.result()

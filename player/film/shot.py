@@ -21,7 +21,7 @@ from player.draw.drawing import Pose
 from player.film.exposure import exposures
 from player.film.film import Film, Frame
 from player.film.stage import Fit, Stage
-from player.gl.context import Context, opened
+from player.gl.context import Context, open_context
 from player.scene.renderer import Renderer
 from player.scene.scene import Scene
 
@@ -97,7 +97,7 @@ class ShotRenderer:
         self._moved: int | None = None
         self.drawing = 0.0  # seconds spent in drawing frames of films
         self.camera_at = stage.camera_at(shot.fit, shot.start, shot.stop, shot.size)
-        self.context: Context = opened(shot.context, shot.gpu) if context is None else context
+        self.context: Context = open_context(shot.context, shot.gpu) if context is None else context
         self.context.warms = shot.stop - shot.start > 1
         try:
             with deferred_stop(patience=0) as stop:

@@ -39,7 +39,7 @@ OSMESA_CONTEXT = (0x22, 0x1908, 0x30, 0, 0x31, 0, 0x33, 0x34, 0x36, 3, 0x37, 3, 
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader", "software")
 
 
-class NoContextError(RuntimeError):
+class NoContextError(AssetError):
     """No OpenGL 3.3 context could be made; the message lists what was tried and why each failed."""
 
 
@@ -372,11 +372,3 @@ def osmesa_driver() -> Driver:
     destroy = lambda: lib.OSMesaDestroyContext(context)
     address = lambda function: lib.OSMesaGetProcAddress(function.encode()) or 0
     return Driver("OSMesa", address, make_current, let_go, destroy)
-
-
-def opened(kind: str, gpu: int | str | None) -> Context:
-    """A context; AssetError, one line about why there is none."""
-    try:
-        return open_context(kind, gpu)
-    except NoContextError as error:
-        raise AssetError(str(error)) from None

@@ -47,18 +47,15 @@ class UdpListener:
             self.socket.close()
             raise AssetError(f"{address}: {_reason(error)}") from None
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        self.stamped = sys.platform == "linux" and self._ask_for_stamps()
+        self.stamped = False
+        if sys.platform == "linux":
+            with suppress(OSError):
+                self.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+                self.stamped = True
         self.socket.settimeout(0.1)
         self.address = address._replace(port=self.socket.getsockname()[1])
         self.thread = threading.Thread(target=self._listen, name="live poses", daemon=True)
         self.thread.start()
-
-    def _ask_for_stamps(self) -> bool:
-        try:
-            self.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-        except OSError:
-            return False
-        return True
 
     def _listen(self) -> None:
         while not self.closing:
@@ -134,7 +131,10 @@ class WebSocketListener:
         self.inbox, self.lock = inbox, threading.Lock()
         # time of each sender's last message
         self.last_message: dict[Any, float] = {}
-        serve = _websocket_server()
+        try:
+            from websockets.sync.server import serve
+        except ModuleNotFoundError:
+            raise missing_package("websockets", "live", "ws:") from None
         try:
             family, kind, proto, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
             listening = socket.create_server(place[:2], family=family)
@@ -210,14 +210,6 @@ class WebSocketListener:
                 connection.shutdown(socket.SHUT_RDWR)
         self.server.shutdown()
         self.thread.join()
-
-
-def _websocket_server() -> Callable[..., Any]:
-    try:
-        from websockets.sync.server import serve
-    except ModuleNotFoundError:
-        raise missing_package("websockets", "live", "ws:") from None
-    return serve
 
 
 def refuse_foreign_pages(connection: Any, request: Any) -> Any:

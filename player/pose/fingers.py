@@ -47,19 +47,14 @@ PRESETS: dict[str, HandShape] = {
 }
 
 
-def hand_angles(shape: HandShape) -> Float[Array, "5 3 3"]:
-    """Joint angles of a hand: finger, joint, (flexion, sideways, twist), radians; the same for both sides."""
-    angles = np.zeros((5, 3, 3))
-    angles[:, :, 0] = np.array(shape.curl)[:, None] * JOINT_SHARE
-    angles[:, 0, 1] = np.array(shape.spread) * AWAY
-    angles[4, 0, 2] = shape.opposition
-    return angles
-
-
 def with_hand(axis_angle: Float[Array, "52 3"], side: Side, shape: HandShape) -> Float[Array, "52 3"]:
     """The pose with one hand in this shape, inside the joints' limits."""
     angles = np.zeros((52, 3))
-    angles[HANDS[side]] = hand_angles(shape).reshape(15, 3)
+    # finger, joint, (flexion, sideways, twist)
+    hand = angles[HANDS[side]].reshape(5, 3, 3)
+    hand[:, :, 0] = np.array(shape.curl)[:, None] * JOINT_SHARE
+    hand[:, 0, 1] = np.array(shape.spread) * AWAY
+    hand[4, 0, 2] = shape.opposition
     out = np.array(axis_angle, np.float64)
     out[HANDS[side]] = axis_angle_from_joint_angles(clamped_angles(angles))[HANDS[side]]
     return out

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from avatar.motion.hands import HANDS
 from command.command_line import Option, OptionGroup, Several
-from command.settings import RGBA, OneOf, color_of, rule_of, settings_of
+from command.settings import OneOf, color_of, rule_of, settings_of
 from player.effects.background import Background
 from player.scene.effects import Effects
 from player.scene.scene import GROUNDS, Scene
@@ -53,25 +53,16 @@ def parse_frames(text: str) -> tuple[int | None, int | None]:
     return start, stop
 
 
-def parse_color(text: str) -> RGBA:
-    """#rrggbb, #rrggbbaa or "transparent", as premultiplied RGBA."""
-    color = color_of("#00000000" if text == "transparent" else f"#{text.removeprefix('#')}")
-    if color is None:
-        raise refused("#rrggbb or transparent", repr(text))
-    return color
-
-
 def parse_background(text: str) -> Background:
-    """#rrggbb, transparent, or a file: a picture, a film or folder of frames, a panorama (.hdr)."""
+    """#rrggbb, #rrggbbaa, transparent, or a file: a picture, a film or folder of frames, a panorama (.hdr)."""
     path = Path(text)
     if not text.startswith("#") and path.exists():
         suffix = path.suffix.lower()
         kind = "hdr" if suffix == ".hdr" else "image" if suffix in PICTURES else "video"
         return Background(kind, path=text)
-    try:
-        color = parse_color(text)
-    except argparse.ArgumentTypeError:
-        raise refused("#rrggbb, transparent or a file that is there", repr(text)) from None
+    color = color_of("#00000000" if text == "transparent" else f"#{text.removeprefix('#')}")
+    if color is None:
+        raise refused("#rrggbb, transparent or a file that is there", repr(text))
     return Background("transparent") if color[3] == 0 else Background("color", color)
 
 

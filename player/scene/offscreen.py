@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.motion.clip import Clip
-from player.gl.context import opened
+from player.gl.context import open_context
 from player.scene.effects import STUDIO, USUAL, Background, Effects
 from player.scene.framing import extent, facing, fitted_camera
 from player.scene.renderer import Renderer
@@ -34,7 +34,7 @@ class OffscreenRenderer:
         effects: Effects = USUAL, background: Background = STUDIO, level: int = 0, context: str = "auto",
     ):  # fmt: skip
         self.avatar, self.size, self.camera = avatar, size, camera
-        self._context = opened(context, None)
+        self._context = open_context(context, None)
         try:
             self._renderer = Renderer(
                 self._context, [avatar], size, effects=effects, background=background, level=level

@@ -107,10 +107,6 @@ def posed(act: Callable[["PoseEdit"], object]) -> Callable[["WindowParts"], None
     return do
 
 
-def is_posing(parts: "WindowParts") -> bool:
-    return parts.posing.edit is not None
-
-
 def is_dragging(parts: "WindowParts") -> bool:
     return parts.posing.edit is not None and parts.posing.edit.tool.held is not None
 
@@ -184,7 +180,7 @@ FIRST_PERSON = KeyGroup(
 POSING = KeyGroup(
     "Posing by hand",
     (UNDO, REDO, COPY_LIMB, COPY_POSE, PASTE, PASTE_MIRRORED, MIRROR, TO_GROUND, SET_KEY, DELETE_KEY, GIVE_UP),
-    is_posing,
+    lambda parts: parts.posing.edit is not None,
 )  # fmt: skip
 GROUPS = (
     KeyGroup(

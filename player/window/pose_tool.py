@@ -109,9 +109,6 @@ class PoseTool:
         # the table's axes of some joints are left-handed, those of the gizmo are not
         return out * [1.0, 1.0, np.sign(np.linalg.det(out))]
 
-    def place(self, handle: PullHandle) -> Float[Array, "3"]:
-        return self.session.world()[handle.joint, :3, 3]
-
     def under(self, x: float, y: float) -> PullHandle | None:
         """The handle at a pixel; those of ends come first."""
         camera = self._camera
@@ -135,7 +132,7 @@ class PoseTool:
         if camera is None or found is None:
             return False
         pixel = np.array([x, y], np.float64)
-        place = self.place(found)
+        place = self.session.world()[found.joint, :3, 3]
         self.held = Drag(self.session.pose, (x, y), found, place - on_plane_through(camera, place, pixel))
         return True
 

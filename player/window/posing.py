@@ -96,25 +96,17 @@ class PoseEdit:
             self.show_frame()
 
     def copy_pose(self) -> None:
-        self._copy(ALL, "the whole pose")
+        self.copy(ALL, "the whole pose")
 
     def copy_limb(self) -> None:
         """Copy the selected joint's limb; of the pelvis, or without a selection, the whole pose."""
         joint = self.tool.joint
         if joint:
-            self._copy(limb_of(joint), f"the limb of {joint_name(joint)}")
+            self.copy(limb_of(joint), f"the limb of {joint_name(joint)}")
         else:
             self.copy_pose()
 
-    def copy_joint(self) -> None:
-        """Copy the selected joint alone; without a selection the whole pose."""
-        joint = self.tool.joint
-        if joint is None:
-            self.copy_pose()
-        else:
-            self._copy((joint,), joint_name(joint))
-
-    def _copy(self, joints: tuple[int, ...], name: str) -> None:
+    def copy(self, joints: tuple[int, ...], name: str) -> None:
         self.session.copy(joints)
         self.state.messages.say(f"copied: {name}")
 

@@ -21,15 +21,13 @@ Area = tuple[int, int, int, int]
 MESSAGE_SECONDS = 5.0
 
 
+@dataclass
 class AvatarSelection:
     """The avatar that panels are about, and its joint that was clicked."""
 
-    def __init__(self, names: list[str]):
-        self.names = names
-        self.avatar, self.joint = 0, None
-
-    avatar: int
-    joint: int | None
+    names: list[str]
+    avatar: int = 0
+    joint: int | None = None
 
     def choose(self, avatar: int, joint: int | None = None) -> None:
         self.avatar, self.joint = avatar % len(self.names), joint

@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 11_805,
     "train": 5_787,
     "bake": 4_469,
-    "player": 18_730,
+    "player": 18_673,
     "shaders": 1_036,
     "synth": 2_703,
     "bench": 5_852,
     "selfscan": 412,
-    "tests": 35_819,
+    "tests": 35_801,
 }
 
 

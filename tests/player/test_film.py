@@ -22,11 +22,17 @@ def frame(i, width=101, height=75):
     return image
 
 
+def filmed(path, frames, rate=30.0, **more):
+    """The film of these frames, written."""
+    with Film(path, rate, **more) as film:
+        for image in frames:
+            film.add(image)
+    return film
+
+
 @pytest.mark.parametrize(("name", "rate"), [("a.mp4", 29.97), ("a.webm", 25.0), ("a.mov", 120.00004)])
 def test_video_is_tagged_bt709_padded_and_shows_the_colours(tmp_path, name, rate):
-    with Film(tmp_path / name, rate) as film:
-        for i in range(12):
-            film.add(frame(i))
+    film = filmed(tmp_path / name, map(frame, range(12)), rate)
     assert film.frames == 12 and "padded" in film.notes[0]
     with av.open(str(tmp_path / name)) as container:
         stream = container.streams.video[0]
@@ -41,12 +47,9 @@ def test_video_is_tagged_bt709_padded_and_shows_the_colours(tmp_path, name, rate
 
 
 def test_pictures_hold_exact_pixels(tmp_path):
-    with Film(tmp_path / "one.png", 30.0, transparent=True) as film:
-        film.add(frame(0))
+    filmed(tmp_path / "one.png", [frame(0)], transparent=True)
     assert np.array_equal(pixels(tmp_path / "one.png"), frame(0))
-    with Film(tmp_path / "frames", 30.0) as film:
-        for i in range(3):
-            film.add(frame(i))
+    filmed(tmp_path / "frames", map(frame, range(3)))
     names = sorted(path.name for path in (tmp_path / "frames").glob("*.png"))
     assert names == ["000000.png", "000001.png", "000002.png"]
     assert np.array_equal(pixels(tmp_path / "frames" / names[2]), frame(2)[..., :3])
@@ -54,9 +57,7 @@ def test_pictures_hold_exact_pixels(tmp_path):
 
 @pytest.mark.parametrize("name", ["a.gif", "a.webp"])
 def test_moving_pictures_have_every_frame(tmp_path, name):
-    with Film(tmp_path / name, 20.0) as film:
-        for i in range(5):
-            film.add(frame(i))
+    filmed(tmp_path / name, map(frame, range(5)), 20.0)
     with Image.open(tmp_path / name) as image:
         assert getattr(image, "n_frames", 1) == 5
 
@@ -75,31 +76,28 @@ def test_an_error_while_drawing_leaves_nothing(tmp_path, name):
 
 
 def test_an_error_of_the_encoder_reaches_the_drawing_side(tmp_path):
-    with pytest.raises(AssetError, match="holds one frame"), Film(tmp_path / "a.png", 30.0) as film:
-        for _ in range(100):
-            film.add(frame(0))
+    with pytest.raises(AssetError, match="holds one frame"):
+        filmed(tmp_path / "a.png", [frame(0)] * 100)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_size_the_encoder_refuses_is_one_line(tmp_path):
-    with pytest.raises(AssetError, match=r"a\.mp4: cannot be written as \.mp4"), Film(tmp_path / "a.mp4", 30.0) as film:
-        for _ in range(20):
-            film.add(np.zeros((2, 40_000, 4), np.uint8))
+    with pytest.raises(AssetError, match=r"a\.mp4: cannot be written as \.mp4"):
+        filmed(tmp_path / "a.mp4", [np.zeros((2, 40_000, 4), np.uint8)] * 20)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.webm", "a.mov", "a.gif", "a.webp"])
 def test_a_film_of_one_pixel_is_written(tmp_path, name):
-    with Film(tmp_path / name, 30.0) as film:
-        film.add(np.full((1, 1, 4), 255, np.uint8))
+    filmed(tmp_path / name, [np.full((1, 1, 4), 255, np.uint8)])
     assert (tmp_path / name).stat().st_size > 30
 
 
 def test_a_film_without_frames_or_without_a_rate_is_refused(tmp_path):
     with pytest.raises(ValueError, match="rate"):
         Film(tmp_path / "a.mp4", 0.0)
-    with pytest.raises(AssetError, match="no frames"), Film(tmp_path / "a.mp4", 30.0):
-        pass
+    with pytest.raises(AssetError, match="no frames"):
+        filmed(tmp_path / "a.mp4", [])
     assert list(tmp_path.iterdir()) == []
 
 
@@ -124,9 +122,7 @@ def drawn(context, avatar):
 @pytest.mark.parametrize(("quality", "most", "psnr"), [("draft", 3.0, 32.0), ("good", 2.0, 35.0), ("best", 1.8, 37.0)])
 def test_a_decoded_frame_of_an_mp4_is_near_to_the_png(drawn, tmp_path, quality, most, psnr):
     """Within 2/255 on average, and no channel off on the whole: matrix and range are those of the tag."""
-    with Film(tmp_path / "a.mp4", 30.0, encoder="software", quality=quality) as film:
-        for image in drawn:
-            film.add(image)
+    filmed(tmp_path / "a.mp4", drawn, encoder="software", quality=quality)
     with av.open(str(tmp_path / "a.mp4")) as container:
         decoded = [f.to_ndarray(format="rgb24")[:321, :320] for f in container.decode(video=0)]
     gap = np.stack(decoded).astype(float) - np.stack(drawn)[..., :3]
@@ -145,9 +141,7 @@ def test_drawing_into_kept_arrays_needs_few_of_them(drawn, tmp_path):
             arrays.add(id(canvas))
             canvas[:] = drawn[number % 12]
             film.add(canvas)
-    with Film(tmp_path / "apart.mp4", 30.0, encoder="software") as film:
-        for number in range(60):
-            film.add(drawn[number % 12].copy())
+    filmed(tmp_path / "apart.mp4", (drawn[number % 12].copy() for number in range(60)), encoder="software")
     assert len(arrays) <= WAITING + 3
     assert (tmp_path / "kept.mp4").read_bytes() == (tmp_path / "apart.mp4").read_bytes()
 
@@ -155,8 +149,7 @@ def test_drawing_into_kept_arrays_needs_few_of_them(drawn, tmp_path):
 def test_an_odd_size_is_padded_with_its_edge_not_scaled(tmp_path):
     image = np.zeros((31, 33, 4), np.uint8)
     image[..., 3], image[:, 32, 0], image[30, :, 2] = 255, 240, 240
-    with Film(tmp_path / "a.mov", 30.0) as film:
-        film.add(image)
+    filmed(tmp_path / "a.mov", [image])
     with av.open(str(tmp_path / "a.mov")) as container:
         decoded = next(container.decode(video=0)).to_ndarray(format="rgb24").astype(int)
     assert decoded.shape == (32, 34, 3)
@@ -197,19 +190,14 @@ def test_an_encoder_that_was_named_is_taken_or_refused_in_one_line(tmp_path, mon
     with pytest.raises(AssetError, match=r"--encoder libx264: \.webm is encoded by libvpx-vp9"):
         chosen_encoder(".webm", "libx264", (64, 48))
     monkeypatch.setattr(encoder_module, "refusal", lambda _encoder, _size: "no such chip")
-    with (
-        pytest.raises(AssetError, match="--encoder h264_nvenc does not encode here: no such chip"),
-        Film(tmp_path / "a.mp4", 30.0, encoder="h264_nvenc") as film,
-    ):
-        film.add(frame(0))
+    with pytest.raises(AssetError, match="--encoder h264_nvenc does not encode here: no such chip"):
+        filmed(tmp_path / "a.mp4", [frame(0)], encoder="h264_nvenc")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("rate", "frames"), [(30.0, 60), (29.97, 40), (25.0, 50), (60.0, 120), (120.0, 240), (7.0, 1)])
 def test_a_gif_plays_as_long_as_the_film(tmp_path, rate, frames):
-    with Film(tmp_path / "a.gif", rate) as film:
-        for i in range(frames):
-            film.add(frame(i % 40))
+    filmed(tmp_path / "a.gif", (frame(i % 40) for i in range(frames)), rate)
     lengths = []
     with Image.open(tmp_path / "a.gif") as image:
         for number in range(getattr(image, "n_frames", 1)):

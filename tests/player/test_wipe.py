@@ -1,13 +1,15 @@
 """A capture in the window: its cameras, its video behind the avatar and on one side of the line."""
 
 import json
+import shutil
+from pathlib import Path
 
 import glfw
 import numpy as np
 import pytest
 from PIL import Image
 
-from avatar.camera import Camera, look_at, orbit_camera, pinhole, project, write_cameras
+from avatar.camera import Camera, look_at, orbit_camera, pinhole, pixel_rays, project, write_cameras
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
@@ -162,6 +164,16 @@ def test_a_head_s_camera_stands_before_the_t_pose(avatar, capture):
     assert np.allclose(project(view.cameras[0], head[None])[0], project(world, head[None])[0], atol=1e-3)
 
 
+@pytest.fixture
+def copy(capture, tmp_path):
+    """The capture's folder, to be spoilt."""
+    return Path(shutil.copytree(capture[0], tmp_path / "copy"))
+
+
+def poses(poses):
+    return lambda p: np.savez(p / "body/poses.npz", poses=poses, trans=np.zeros((3, 3)))
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -169,31 +181,17 @@ def test_a_head_s_camera_stands_before_the_t_pose(avatar, capture):
         (lambda p: (p / "capture.json").write_text('{"format": "x"}'), "expected a capture folder"),
         (lambda p: [f.unlink() for f in (p / "body/images").iterdir()], "expected pictures, found none"),
         (lambda p: (p / "body/images/000001.png").unlink(), "should hold 1 or 2 cameras, holds 3"),
-        (
-            lambda p: np.savez(p / "body/poses.npz", poses=np.zeros((3, 72)), trans=np.zeros((3, 3))),
-            "should be .3, 156.",
-        ),
-        (
-            lambda p: np.savez(p / "body/poses.npz", poses=np.full((3, 156), np.nan), trans=np.zeros((3, 3))),
-            "frame 0, joint 0",
-        ),
+        (poses(np.zeros((3, 72))), "should be .3, 156."),
+        (poses(np.full((3, 156), np.nan)), "frame 0, joint 0"),
     ],
 )
-def test_captures_that_do_not_agree_are_refused(capture, tmp_path, spoil, message):
-    import shutil
-
-    copy = tmp_path / "copy"
-    shutil.copytree(capture[0], copy)
+def test_captures_that_do_not_agree_are_refused(copy, spoil, message):
     spoil(copy)
     with pytest.raises(AssetError, match=message):
         open_capture(copy)
 
 
-def test_pictures_that_are_none_are_named_when_they_are_shown(capture, tmp_path):
-    import shutil
-
-    copy = tmp_path / "copy"
-    shutil.copytree(capture[0], copy)
+def test_pictures_that_are_none_are_named_when_they_are_shown(copy):
     (copy / "body/images/000000.png").write_bytes(b"nothing")
     Image.new("RGB", (5, 5)).save(copy / "body/images/000001.png")
     view = open_capture(copy)
@@ -220,8 +218,6 @@ def test_lens_distortion_is_undone_as_the_camera_says(context):
     picture.draw((0.0, 0.0, 64.0, 48.0), size)
     shown = np.frombuffer(target.read(components=3), np.uint8).reshape(48, 64, 3)[::-1].astype(float)
     straight = Camera(K, np.eye(4), size)
-    from avatar.camera import pixel_rays
-
     _, rays = pixel_rays(straight)
     places, _ = project(camera, rays)
     inside = ((places > 1) & (places < np.array(size) - 1)).all(1)

@@ -117,7 +117,8 @@ class PosePanels:
                          lambda value, mark: session.set_angle(joint, k, radians(value), drag=mark),
                          name=f"angle {k}")  # fmt: skip
         self._button(edit, "Reset joint", "This joint as in the T-pose.", lambda: session.reset([joint]))
-        self._button(edit, "Copy joint", "Copy this joint alone.", edit.copy_joint, beside=True)
+        self._button(edit, "Copy joint", "Copy this joint alone.", lambda: edit.copy((joint,), joint_name(joint)),
+                     beside=True)  # fmt: skip
         if joint:
             self._button(edit, "Reset limb", "The joint's whole limb as in the T-pose.",
                          lambda: session.reset(limb_of(joint)))  # fmt: skip

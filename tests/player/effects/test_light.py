@@ -33,6 +33,17 @@ def lit_avatar(avatar, gamma: float = 1.0, gloss: float = 0.1):
     return replace(avatar, levels=(replace(level, light=seen),), light=light)
 
 
+@pytest.fixture
+def shown(render, avatar, pose):
+    """The picture of the built-in body, or another, with these effects."""
+    return lambda effects, who=avatar: render(who, SIZE, effects=effects).draw([pose], CAMERA)
+
+
+def why_of(renderer) -> str:
+    """What is said of the avatar's pass in the last frame."""
+    return next(one.decision.why for one in renderer.drawn if one.item.name == "avatar: paper")
+
+
 def expected(rasteriser, avatar, pose, base, light):
     """The picture by NumPy, where a pixel shows one triangle in the middle of others."""
     level = avatar.levels[0]
@@ -69,16 +80,15 @@ def assert_lit(rasteriser, avatar, pose, base, shown, light):
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
 @pytest.mark.parametrize("skinning", ["lbs", "dual_quaternion"])
-def test_the_captures_light_is_what_numpy_says_and_stays(render, rasteriser, avatar, pose, gamma, skinning):
+def test_the_captures_light_is_what_numpy_says_and_stays(shown, rasteriser, avatar, pose, gamma, skinning):
     filmed = lit_avatar(avatar, gamma)
     effects = replace(OFF, skinning=skinning)
-    base = render(filmed, SIZE, effects=effects).draw([pose], CAMERA)
-    shown = render(filmed, SIZE, effects=replace(effects, light=Light())).draw([pose], CAMERA)
+    base, lit = shown(effects, filmed), shown(replace(effects, light=Light()), filmed)
     if skinning == "dual_quaternion":
         # its surface lies elsewhere; that it is lit is enough
-        assert np.abs(shown[..., :3].astype(int) - base[..., :3]).max() > 30
+        assert np.abs(lit[..., :3].astype(int) - base[..., :3]).max() > 30
         return
-    assert_lit(rasteriser, filmed, pose, base, shown, filmed.light)
+    assert_lit(rasteriser, filmed, pose, base, lit, filmed.light)
 
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
@@ -93,22 +103,17 @@ def test_light_without_a_highlight_is_one_factor_of_each_vertex(render, rasteris
     assert any(("LIT", 1) in program.depends_on for program in programs)
 
 
-def test_without_light_albedo_is_shown(render, rasteriser, avatar, pose):
+def test_without_light_albedo_is_shown(shown, rasteriser, avatar, pose):
     filmed = lit_avatar(avatar)
-    base = render(filmed, SIZE, effects=OFF).draw([pose], CAMERA)
-    shown = render(filmed, SIZE, effects=replace(OFF, light=Light(by="albedo"))).draw([pose], CAMERA)
-    assert_lit(rasteriser, filmed, pose, base, shown, CaptureLight(1.0))
+    base, albedo = (shown(replace(OFF, light=light), filmed) for light in (None, Light(by="albedo")))
+    assert_lit(rasteriser, filmed, pose, base, albedo, CaptureLight(1.0))
 
 
-def test_lamps_that_a_scene_names_light_an_avatar_whose_file_tells_no_light(render, avatar, pose):
+def test_lamps_that_a_scene_names_light_an_avatar_whose_file_tells_no_light(shown):
+    """Even ones of 1 change nothing: test_light_that_changes_nothing_is_the_plan_without_it."""
     lamps = Light(by="lamps", ambient=0.0, strength=1.0, direction=(0.0, 0.0, 1.0))
-    base = render(avatar, SIZE, effects=OFF).draw([pose], CAMERA)
-    shown = render(avatar, SIZE, effects=replace(OFF, light=lamps)).draw([pose], CAMERA)
-    assert (shown <= base).all()
-    assert shown[..., :3].sum() < 0.95 * base[..., :3].sum()
-    even = Light(by="lamps", ambient=1.0, strength=0.0)
-    same = render(avatar, SIZE, effects=replace(OFF, light=even)).draw([pose], CAMERA)
-    assert np.abs(same.astype(int) - base).max() <= 1
+    base, lit = (shown(replace(OFF, light=light)) for light in (None, lamps))
+    assert (lit <= base).all() and lit[..., :3].sum() < 0.95 * base[..., :3].sum()
 
 
 @pytest.mark.parametrize("view", ["off", "vertex", "network"])
@@ -125,12 +130,12 @@ def test_not_asked_for_it_is_the_same_frame_program_and_objects(render, context,
     assert all(("LIT", 0) in program.depends_on for program in programs)
 
 
-def test_view_dependence_is_lit_too_and_explained(render, avatar, pose):
+def test_view_dependence_is_lit_too_and_explained(render, shown, avatar, pose):
     filmed = lit_avatar(avatar)
     lit = render(filmed, SIZE, effects=replace(PLAIN, view="network", light=Light()))
     dark = lit.draw([pose], CAMERA).copy()
     assert any("lit by ambient 0.40 and 2 lamps" in one.decision.why for one in lit.drawn)
-    bright = render(filmed, SIZE, effects=replace(PLAIN, view="network")).draw([pose], CAMERA)
+    bright = shown(replace(PLAIN, view="network"), filmed)
     assert np.abs(dark.astype(int) - bright).max() > 30
 
 
@@ -153,18 +158,17 @@ def behind(backgrounds):
     return backgrounds | {"hdr": replace(backgrounds["hdr"], turn_deg=40.0)}
 
 
-def test_a_panorama_lights_avatars_as_its_lamps_would(render, avatar, pose, behind):
+def test_a_panorama_lights_avatars_as_its_lamps_would(render, shown, avatar, pose, behind):
     path = behind["hdr"].path
     own = render(avatar, SIZE, effects=replace(OFF, light=Light("panorama")), background=behind["hdr"])
-    light = fitted_light(read_panorama(path), np.radians(40.0), gamma=1.0, most=4).light
+    light = fitted_light(read_panorama(path), np.radians(40.0), gamma=1.0, most=4)
     (drawn,) = [item for item in own.plan.passes if item.name == "avatar: paper"]
     assert drawn.shading.variants[-1].light.light == light and 1 <= len(light.lamps) <= 4
     named = render(avatar, SIZE, effects=replace(OFF, light=Light("panorama", path)), background=behind["image"])
     lit, turned_back = own.draw([pose], CAMERA), named.draw([pose], CAMERA)
-    body = render(avatar, SIZE, effects=OFF).draw([pose], CAMERA)[..., 3] > 0
+    body = shown(OFF)[..., 3] > 0
     assert np.abs(lit[body].astype(int) - turned_back[body]).max() > 20, "the background's own turn counts"
-    said = next(one.decision.why for one in own.drawn if one.item.name == "avatar: paper")
-    assert "its file has no light, its colors are taken for albedo" in said
+    assert "its file has no light, its colors are taken for albedo" in why_of(own)
 
 
 def test_a_panorama_that_is_nowhere_is_said(render, avatar, behind):
@@ -173,17 +177,16 @@ def test_a_panorama_that_is_nowhere_is_said(render, avatar, behind):
 
 
 @pytest.mark.parametrize("kind", ["image", "hdr"])
-def test_avatars_are_fitted_to_what_is_behind(render, avatar, pose, behind, kind):
+def test_avatars_are_fitted_to_what_is_behind(render, shown, avatar, pose, behind, kind):
     """Every color times the same gains, which the reason says."""
-    plain = render(avatar, SIZE, effects=OFF).draw([pose], CAMERA)
+    plain = shown(OFF)
     fitted = render(avatar, SIZE, effects=replace(OFF, light=Light(fit="background")), background=behind[kind])
     image, body = fitted.draw([pose], CAMERA), plain[..., 3] > 0
     gains = np.array(background_gains(behind[kind]))
     assert (gains != 1).all() and ((gains >= 0.5) & (gains <= 2)).all()
     expected = np.clip(plain[body][:, :3] * gains, 0, 255)
     assert np.abs(image[body][:, :3] - expected).max() <= 1.01
-    said = next(one.decision.why for one in fitted.drawn if one.item.name == "avatar: paper")
-    assert " ".join(f"{gain:.2f}" for gain in gains) in said
+    assert " ".join(f"{gain:.2f}" for gain in gains) in why_of(fitted)
     if kind == "image":
         assert gains[0] > gains[1] > gains[2], "warm behind, warm before"
 
@@ -194,8 +197,7 @@ def test_light_that_changes_nothing_is_the_plan_without_it(render, context, avat
         asked, plain = (render(avatar, SIZE, effects=replace(OFF, light=one)) for one in (light, None))
         assert set(asked.plan.handles) == set(plain.plan.handles)
         assert np.array_equal(asked.draw([pose], CAMERA), plain.draw([pose], CAMERA))
-    why = next(one.decision.why for one in asked.drawn if one.item.name == "avatar: paper")
-    assert "not lit anew: its file has no light" in why
+    assert "not lit anew: its file has no light" in why_of(asked)
 
 
 def test_a_panorama_is_one_of_the_files_of_a_film(behind):
