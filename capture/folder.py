@@ -225,7 +225,7 @@ def write_subject(path: Path, subject: CaptureSubject) -> None:
 
 
 def _read_video(path: Path, part: str, vertex_count: int, on_demand: bool) -> PartVideo:
-    image_names, images = _frame_files(path / "images") if on_demand else _read_frames(path / "images", "RGB")
+    image_names, images = _read_frames(path / "images", "RGB", on_demand=on_demand)
     mask_names, masks = _read_frames(path / "masks", "L", lambda grey: grey > 127)
     # mixtures of the person and what lies behind
     _, mixed = _read_frames(path / "masks", "L", lambda grey: (grey > MIXED[0]) & (grey < MIXED[1]))
@@ -312,23 +312,17 @@ def _read_landmarks(path: Path, vertex_count: int) -> tuple[Array, Array]:
     return positions, np.array([vertices[name] for name in names])
 
 
-def _frame_files(folder: Path) -> tuple[list[str], Frames]:
-    """Names and files of the frames; their sizes are those of the first, or reading them says so."""
-    paths = tuple(sorted(folder.glob("*.png")))
-    if not paths:
-        raise AssetError(f"{folder}: expected frames 000000.png ..., found none")
-    height, width = read_picture(paths[0], "RGB", formats=("PNG",)).shape[:2]
-    return [path.name for path in paths], cast(Frames, FrameFiles(paths, (height, width)))
-
-
 def _read_frames(
-    folder: Path, mode: str, kept: Callable[[Array], Array] = lambda pixels: pixels
-) -> tuple[list[str], Array]:
-    """Names and frames, each as `kept` has it; never all of them twice in memory."""
+    folder: Path, mode: str, kept: Callable[[Array], Array] = lambda pixels: pixels, *, on_demand: bool = False
+) -> tuple[list[str], Frames]:
+    """Names and frames, each as `kept` has it; never all of them twice in memory. `on_demand`: as files."""
     paths = sorted(folder.glob("*.png"))
     if not paths:
         raise AssetError(f"{folder}: expected frames 000000.png ..., found none")
     first = kept(read_picture(paths[0], mode, formats=("PNG",)))
+    if on_demand:
+        # their sizes are those of the first, or reading them says so
+        return [path.name for path in paths], cast(Frames, FrameFiles(tuple(paths), first.shape[:2]))
     frames = np.empty((len(paths), *first.shape), first.dtype)
     frames[0], size = first, (first.shape[1], first.shape[0])
     for i, path in enumerate(paths[1:], 1):

@@ -40,10 +40,6 @@ class Videos(Mapping[str, "PartVideo"]):
     def __len__(self) -> int:
         return len(self.read)
 
-    def let_go(self) -> None:
-        """Keep none that has no other holder."""
-        self.recent.clear()
-
 
 def changed(
     videos: Mapping[str, "PartVideo"], change: Callable[[str, "PartVideo"], "PartVideo"]
@@ -65,7 +61,7 @@ def only(videos: Mapping[str, "PartVideo"], parts: Sequence[str]) -> Mapping[str
 def let_go(videos: Mapping[str, "PartVideo"]) -> None:
     """Free the videos that can be read again and have no other holder."""
     if isinstance(videos, Videos):
-        videos.let_go()
+        videos.recent.clear()
 
 
 def size_of(video: "PartVideo") -> int:

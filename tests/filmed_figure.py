@@ -71,17 +71,11 @@ def lines_of(part):
     return [*fingers, (f"{side}_wrist", f"{side}_elbow", 11)]
 
 
-def to_line(x, y, p, q):
-    """Distance of pixels to a line between two points."""
-    along = q - p
-    t = np.clip(((x - p[0]) * along[0] + (y - p[1]) * along[1]) / max(along @ along, 1e-9), 0, 1)
-    return np.hypot(x - p[0] - t * along[0], y - p[1] - t * along[1])
-
-
 def film(folder, part, name, *, empty=True, shift=(0, 0), still=True, second=False, upside_down=False, blurred=()):
     """Write NAME.mp4 and keypoints/PART.json; returns the true masks."""
     rng = np.random.default_rng(len(part))
     y, x = np.mgrid[: SIZE[1], : SIZE[0]] + 0.5
+    pixels = np.stack([x, y], -1)
     room, masks, instances = wall(), [], []
     (folder / "keypoints").mkdir(exist_ok=True)
     path = folder / f"{name}.mp4"
@@ -99,7 +93,9 @@ def film(folder, part, name, *, empty=True, shift=(0, 0), still=True, second=Fal
                 middle = np.array(SIZE) / 2 + shift
                 at = {name: middle + place for name, place in points_of(part, turn).items()}
                 for n, (a, b, radius) in enumerate(lines_of(part)):
-                    limb = to_line(x, y, at[a], at[b]) < radius
+                    along = at[b] - at[a]
+                    t = np.clip((pixels - at[a]) @ along / max(along @ along, 1e-9), 0, 1)
+                    limb = np.linalg.norm(pixels - at[a] - t[..., None] * along, axis=-1) < radius
                     picture = np.where(limb[..., None], COLORS[n % 5] + 20 * np.sin(x / 2 + n)[..., None], picture)
                     mask |= limb
                 people.append(at)
@@ -118,17 +114,12 @@ def film(folder, part, name, *, empty=True, shift=(0, 0), still=True, second=Fal
 
 
 def _person(at, rng, upside_down):
-    rows, scores = [], []
-    for name in NAMES:
-        if name not in at:
-            rows.append([0.0, 0.0])
-            scores.append(0.0)
-            continue
+    rows = np.zeros((len(NAMES), 2))
+    for k in [k for k, name in enumerate(NAMES) if name in at]:
         # MMPose counts pixels from the middle of the first one
-        place = np.array(at[name]) - 0.5 + 0.4 * rng.standard_normal(2)
-        rows.append([float(v) for v in (np.array(SIZE) - 1 - place if upside_down else place)])
-        scores.append(0.9)
-    return {"keypoints": rows, "keypoint_scores": scores}
+        place = np.array(at[NAMES[k]]) - 0.5 + 0.4 * rng.standard_normal(2)
+        rows[k] = np.array(SIZE) - 1 - place if upside_down else place
+    return {"keypoints": rows.tolist(), "keypoint_scores": [0.9 * (name in at) for name in NAMES]}
 
 
 NAMES_OF_FILES = {"body": "body", "head": "head", "hand_left": "left", "hand_right": "right"}

@@ -14,11 +14,13 @@ from smplh_model import J0
 from avatar.camera import project
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, quaternion_from_matrix
 from avatar.similarity import similarity_from_landmarks
-from avatar.skeleton import BIG_POSE, PARENTS, PARTS, skin_transforms
+from avatar.skeleton import PARENTS, PARTS, skin_transforms
 from avatar.skinning import dense_weights, skin_points
 from capture.folder import Capture, PartVideo, read_capture
+from capture.read.colmap import MODELS
 
 HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # pixel centres lie on whole numbers out there
+METRES, PIXELS = 1e-6, 1e-4  # that an import may be off
 FIRST = {"body": 500, "head": 0, "hand_left": 480, "hand_right": 7}  # number of the first frame
 
 
@@ -28,11 +30,8 @@ FIRST = {"body": 500, "head": 0, "hand_left": 480, "hand_right": 7}  # number of
 def object_array(path: Path, value) -> None:
     """np.save of a dict or a list of dicts, as the authors saved theirs."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if isinstance(value, list):
-        array = np.empty(len(value), object)
-        array[:] = value
-    else:
-        array = np.array(value, object)
+    array = np.empty(len(value) if isinstance(value, list) else (), object)
+    array[...] = value
     np.save(path, array, allow_pickle=True)
 
 
@@ -94,8 +93,7 @@ def _write_authors_body(capture: Capture, video: PartVideo, part: str, folder: P
         poses[0] = 0
         object_array(folder / f"params/{stem}.npy", {"poses": poses.reshape(1, 156), "Rh": Rh[None], "Th": Th[None],
                                                      "shapes": np.zeros((1, 16))})  # fmt: skip
-        B = skin_transforms(video.axis_angle[i], subject.joints, video.root[i], np.zeros((52, 3)))
-        numbers(folder / f"vertices/{stem}.npy", skin_points(subject.rest, subject.skin, B)[members].astype("f4"))
+        numbers(folder / f"vertices/{stem}.npy", posed(capture, part, i)[members].astype("f4"))
     camera = video.cameras[0]
     T = camera.camera_from_world[:3, 3:] * (1000 if part == "body" else 1)
     R = camera.camera_from_world[:3, :3]
@@ -105,10 +103,7 @@ def _write_authors_body(capture: Capture, video: PartVideo, part: str, folder: P
     numbers(lbs / "joints.npy", subject.joints + J0)
     numbers(lbs / "parents.npy", PARENTS)
     numbers(lbs / "faces.npy", subject.faces.astype("i4"))
-    canonical = skin_points(
-        subject.rest, subject.skin, skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))
-    )
-    numbers(lbs / "bigpose_vertices.npy", canonical[members] + J0)
+    numbers(lbs / "bigpose_vertices.npy", subject.vertices[members] + J0)
 
 
 def write_weight_grid(capture: Capture, path: Path) -> None:
@@ -189,37 +184,25 @@ def _hand_numbers(pose: np.ndarray, body, hands: str) -> dict:
     return {"poses": [pose[1:22].ravel().tolist()], "handl": [found[0].tolist()], "handr": [found[1].tolist()]}
 
 
-def colmap_rows(capture: Capture) -> list[tuple]:
-    """(id, qw qx qy qz, t, name) of the head's images."""
-    rows = []
-    for i, camera in enumerate(capture.videos["head"].cameras):
-        x, y, z, w = quaternion_from_matrix(camera.camera_from_world[:3, :3])
-        rows.append((i + 1, (w, x, y, z), camera.camera_from_world[:3, 3], f"{FIRST['head'] + i:06d}.png"))
-    return rows
-
-
-def colmap_parameters(camera, model: str) -> list[float]:
+def write_colmap(capture: Capture, folder: Path, *, binary: bool = True, model: str = "PINHOLE") -> Path:
+    folder.mkdir(parents=True)
+    camera = capture.videos["head"].cameras[0]
     K, d = camera.K, camera.distortion
-    return {
+    parameters = {
         "SIMPLE_PINHOLE": [K[0, 0], K[0, 2], K[1, 2]],
         "PINHOLE": [K[0, 0], K[1, 1], K[0, 2], K[1, 2]],
         "SIMPLE_RADIAL": [K[0, 0], K[0, 2], K[1, 2], d[0]],
         "RADIAL": [K[0, 0], K[0, 2], K[1, 2], d[0], d[1]],
         "OPENCV": [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *d[:4]],
-        "FOV": [K[0, 0], K[1, 1], K[0, 2], K[1, 2], 0.1],
     }[model]
-
-
-NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "FOV": 7}
-
-
-def write_colmap(capture: Capture, folder: Path, *, binary: bool = True, model: str = "PINHOLE") -> Path:
-    folder.mkdir(parents=True)
-    camera = capture.videos["head"].cameras[0]
-    parameters = colmap_parameters(camera, model)
-    rows = colmap_rows(capture)
+    # id, qw qx qy qz, t, name
+    rows = []
+    for i, one in enumerate(capture.videos["head"].cameras):
+        q = np.roll(quaternion_from_matrix(one.camera_from_world[:3, :3]), 1)
+        rows.append((i + 1, q, one.camera_from_world[:3, 3], f"{FIRST['head'] + i:06d}.png"))
     if binary:
-        head = struct.pack("<QIiQQ", 1, 3, NUMBERS[model], *camera.size)
+        number = [name for name, _ in MODELS].index(model)
+        head = struct.pack("<QIiQQ", 1, 3, number, *camera.size)
         (folder / "cameras.bin").write_bytes(head + struct.pack(f"<{len(parameters)}d", *parameters))
         data = struct.pack("<Q", len(rows))
         for number, q, t, name in rows:
@@ -262,12 +245,10 @@ def posed(capture: Capture, part: str, frame: int) -> np.ndarray:
     return skin_points(subject.rest, subject.skin, B)
 
 
-def assert_same_capture(
-    out, source: Capture, *, metres: float = 1e-6, pixels: float = 1e-4, raw: bool = True
-) -> Capture:
+def assert_same_capture(out, source: Capture, *, raw: bool = True) -> Capture:
     found = read_capture(out)
-    np.testing.assert_allclose(found.subject.rest, source.subject.rest, atol=metres)
-    np.testing.assert_allclose(found.subject.joints, source.subject.joints, atol=metres)
+    np.testing.assert_allclose(found.subject.rest, source.subject.rest, atol=METRES)
+    np.testing.assert_allclose(found.subject.joints, source.subject.joints, atol=METRES)
     np.testing.assert_array_equal(found.subject.faces, source.subject.faces)
     np.testing.assert_array_equal(found.subject.part, source.subject.part)
     for part in ("body", "hand_left", "hand_right"):
@@ -275,33 +256,31 @@ def assert_same_capture(
         np.testing.assert_array_equal(a.images, b.images)
         np.testing.assert_array_equal(a.masks, b.masks)
         if raw:
-            np.testing.assert_allclose(a.root, b.root, atol=metres)
+            np.testing.assert_allclose(a.root, b.root, atol=METRES)
             np.testing.assert_allclose(a.axis_angle[:, 1:], b.axis_angle[:, 1:], atol=1e-9)
         for frame, (mine, theirs) in enumerate(zip(a.cameras, b.cameras)):
             assert mine.size == theirs.size
             here, there = posed(found, part, frame), posed(source, part, frame)
             if raw:
                 np.testing.assert_allclose(mine.camera_from_world, theirs.camera_from_world, atol=1e-9)
-                np.testing.assert_allclose(here, there, atol=metres)
+                np.testing.assert_allclose(here, there, atol=METRES)
             seen, depth = project(mine, here)
             expected, expected_depth = project(theirs, there)
-            np.testing.assert_allclose(depth, expected_depth, atol=metres)
+            np.testing.assert_allclose(depth, expected_depth, atol=METRES)
             inside = (depth > 0) & (np.abs(expected) < 3 * mine.size[0]).all(1)  # the lens bends no farther
             assert inside.sum() > 500
-            np.testing.assert_allclose(seen[inside], expected[inside], atol=pixels)
+            np.testing.assert_allclose(seen[inside], expected[inside], atol=PIXELS)
     return found
 
 
-def head_pixels(capture: Capture, frame: int) -> np.ndarray:
-    """The template's head as the frame's camera sees it, through the landmarks."""
-    subject, head = capture.subject, _head_from_canonical(capture)
-    points = subject.vertices[subject.part == 1] @ head[:3, :3].T + head[:3, 3]
-    return project(capture.videos["head"].cameras[frame], points)[0]
-
-
-def assert_same_head(found: Capture, source: Capture, *, pixels: float = 1e-4) -> None:
+def assert_same_head(found: Capture, source: Capture) -> None:
+    """Pictures and masks are the same, and the template's head as each frame's camera sees it through the landmarks."""
     a, b = found.videos["head"], source.videos["head"]
     np.testing.assert_array_equal(a.images, b.images)
     np.testing.assert_array_equal(a.masks, b.masks)
-    for frame in range(len(b.images)):
-        np.testing.assert_allclose(head_pixels(found, frame), head_pixels(source, frame), atol=pixels)
+    heads = []
+    for capture in (found, source):
+        subject, head = capture.subject, _head_from_canonical(capture)
+        points = subject.vertices[subject.part == 1] @ head[:3, :3].T + head[:3, 3]
+        heads.append([project(camera, points)[0] for camera in capture.videos["head"].cameras])
+    np.testing.assert_allclose(*heads, atol=PIXELS)

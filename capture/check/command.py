@@ -8,7 +8,7 @@ from PIL import Image
 from capture.check.face import close_ups, face_line
 from capture.check.keypoints import Followed, compare_keypoints, keypoint_findings, keypoint_lines
 from capture.check.options import CheckCommand
-from capture.check.report import CaptureReport, PartReport, examine, report_facts
+from capture.check.report import CaptureReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
 from capture.check.verdict import verdict
 from capture.folder import Capture, read_capture
@@ -86,8 +86,12 @@ def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...]
             f"{part.mean.spread:>11.2f}  {worst:<15} {part.mean.iou:>8.3f} {part.coverage.seen:>5.0%} "
             f"{part.coverage.gap:>3.0f}° {sharp:>7} {clipped:>8.1%}"
         )
+    # side by side: a column is 30 degrees of the turn, a digit the frames there (+ for ten and more)
     out += ["", "frames by direction of the camera, turning to the right, from above to below:"]
-    out += _histograms(list(report.parts.values()))
+    out.append("  " + "  ".join(f"{name:<12}" for name in report.parts))
+    sign = lambda n: "." if n == 0 else str(n) if n < 10 else "+"
+    for rows in zip(*(part.coverage.histogram.tolist() for part in report.parts.values())):
+        out.append("  " + "  ".join("".join(map(sign, row)) for row in rows))
     if report.face is not None:
         out += ["", face_line(report.face)]
     if followed:
@@ -96,14 +100,6 @@ def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...]
         out += ["", "hardly seen; the avatar gets the color of what lies round it there:"]
         out += [f"  {place.line()}" for place in report.unseen]
     return [*out, "", *judged.lines()]
-
-
-def _histograms(parts: list[PartReport]) -> list[str]:
-    """Side by side: a column is 30 degrees of the turn, a digit the frames there (+ for ten and more)."""
-    sign = lambda n: "." if n == 0 else str(n) if n < 10 else "+"
-    tables = [["".join(sign(n) for n in row) for row in part.coverage.histogram.tolist()] for part in parts]
-    out = ["  " + "  ".join(f"{part.part:<12}" for part in parts)]
-    return out + ["  " + "  ".join(rows) for rows in zip(*tables)]
 
 
 def write_overlays(path: Path, capture: Capture, report: CaptureReport) -> None:
@@ -115,10 +111,9 @@ def write_overlays(path: Path, capture: Capture, report: CaptureReport) -> None:
         row = []
         for i, frame in enumerate(chosen):
             o = by_frame[frame]
-            caption = (
-                f"{name} {frame}: {o.agreement.spread:.1f} px, overlap {o.agreement.iou:.2f}{', worst' * (i == 3)}"
-            )
-            row.append((caption, overlay(video.images[frame], video.masks[frame], o.parts, o.step)))
+            spread, iou, worst = o.agreement.spread, o.agreement.iou, ", worst" * (i == 3)
+            picture = overlay(video.images[frame], video.masks[frame], o.parts, o.step)
+            row.append((f"{name} {frame}: {spread:.1f} px, overlap {iou:.2f}{worst}", picture))
         rows.append(row)
     with whole_file(path) as file:
         contact_sheet(rows).save(file, format="PNG")

@@ -91,18 +91,15 @@ def unseen_places(
             # a person stands on the soles
             if (name, side) == ("foot", "underside"):
                 continue
-            areas = [
-                _missed_area(area * (facing == number) * np.isin(joint, joints), missed) for joints in (left, right)
-            ]
+            areas = []
+            for joints in (left, right):
+                own = area * (facing == number) * np.isin(joint, joints)
+                lost = float((own * missed).sum())
+                # little is nothing
+                areas.append(lost if lost > AREA and lost > SHARE * own.sum() else 0.0)
             if all(areas):
                 found.append(UnseenPlace(f"{plural} {both} were", sum(areas), advice))
             elif any(areas):
                 which = "" if not right else "the left " if areas[0] else "the right "
                 found.append(UnseenPlace(f"{singular} {which}{one} was", sum(areas), advice))
     return tuple(sorted(found, key=lambda place: -place.area)[:MOST])
-
-
-def _missed_area(area: Float[Array, "faces"], missed: Float[Array, "faces"]) -> float:
-    """Square metres that were missed, 0 where that is little."""
-    lost, whole = float((area * missed).sum()), float(area.sum())
-    return lost if lost > AREA and lost > SHARE * whole else 0.0

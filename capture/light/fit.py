@@ -81,7 +81,7 @@ def light_line(fit: LightFit) -> str:
 def fit_capture_light(capture: Capture, *, seed: int = 0) -> LightFit:
     """The light of a capture from its four videos, its poses and its template."""
     frame = light_frame(capture)
-    return fit_light(lit_pixels(capture, frame, seed=seed), frame)
+    return fit_light(lit_pixels(capture, frame, seed), frame)
 
 
 def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:

@@ -27,6 +27,7 @@ GRAZING = 0.25
 JUMP = 0.02
 # frames of a video: half a turn apart twice over is enough
 MOST_FRAMES = 16
+MOST = 40_000  # pixels of a video
 
 
 class LitPixels(NamedTuple):
@@ -42,8 +43,8 @@ class LitPixels(NamedTuple):
         return LitPixels(*(values[rows] for values in self))
 
 
-def lit_pixels(capture: Capture, frame: Frame, *, per_video: int = 40_000, seed: int = 0) -> LitPixels:
-    """Pixels in which the light can be read; at most `per_video` of each video, evenly chosen.
+def lit_pixels(capture: Capture, frame: Frame, seed: int) -> LitPixels:
+    """Pixels in which the light can be read; at most MOST of each video, evenly chosen.
 
     Left out are pixels at an outline, clipped or black ones, flat views, hair (which no template has), and, in the
     head's and hands' videos, everything else of the person: it is out of focus there, or stands in another pose.
@@ -52,11 +53,8 @@ def lit_pixels(capture: Capture, frame: Frame, *, per_video: int = 40_000, seed:
     hair = np.asarray(capture.subject.hair[capture.subject.faces].any(1))
     found = []
     for index, part in enumerate(PARTS):
-        own = (capture.subject.part[capture.subject.faces] == index).any(1) & ~hair
-        if part == "body":
-            own = ~hair
-        pieces = video_pixels(capture, part, own, frame, per_video, rng)
-        found.append(pieces)
+        own = ((capture.subject.part[capture.subject.faces] == index).any(1) | (part == "body")) & ~hair
+        found.append(video_pixels(capture, part, own, frame, MOST, rng))
     return LitPixels(*(np.concatenate(values) for values in zip(*found, strict=True)))
 
 
@@ -77,7 +75,12 @@ def video_pixels(
         drawn = rasterise(vertices, faces, camera)
         image = video.images[number]
         usable = (drawn.face >= 0) & (image.max(-1) < CLIPPED) & (image.max(-1) > DARK)
-        usable &= own[np.maximum(drawn.face, 0)] & _inside(video.masks[number], drawn.depth, jump)
+        # neighbours show the person too, at nearly the same depth; the farthest finite one stands for what is behind
+        inside = ndimage.binary_erosion(video.masks[number], np.ones((3, 3)), border_value=1)
+        seen = np.isfinite(drawn.depth)
+        depth = np.where(seen, drawn.depth, np.max(drawn.depth, initial=0, where=seen) + 10 * jump)
+        even_depth = ndimage.maximum_filter(depth, 3) - ndimage.minimum_filter(depth, 3) < jump
+        usable &= own[np.maximum(drawn.face, 0)] & np.asarray(inside, bool) & even_depth
         if video.unsure is not None:
             usable &= ~video.unsure[number]
         pixels = np.argwhere(usable)
@@ -90,14 +93,6 @@ def video_pixels(
         video_index = np.full(len(facing), PARTS.index(part))
         pieces.append(LitPixels(video_index, face[facing], color, normal[facing] @ R, towards_eye[facing] @ R))
     return LitPixels(*(np.concatenate(values) for values in zip(*pieces, strict=True)))
-
-
-def _inside(mask: Bool[Array, "height width"], depth: Float[Array, "height width"], jump: float) -> Array:
-    """Pixels whose neighbours show the person too, at a depth that differs by less than `jump`."""
-    inside = np.asarray(ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1), bool)
-    # the farthest finite one stands for what is behind the person
-    depth = np.where(np.isfinite(depth), depth, np.max(depth, initial=0, where=np.isfinite(depth)) + 10 * jump)
-    return inside & (ndimage.maximum_filter(depth, 3) - ndimage.minimum_filter(depth, 3) < jump)
 
 
 def _seen(

@@ -25,6 +25,8 @@ NAMES = {
 # a part's height over that of the box round a person's keypoints
 SHARES = {"head": 0.14, "hand_left": 0.11, "hand_right": 0.11}
 ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".webm")
+# fields of what was seen of a video that are kept
+SEEN = ("times", "small", "sharpness")
 KEYPOINTS = "keypoints (OpenPose, COCO-WholeBody, MediaPipe) of body, head, hand_left and hand_right"
 
 
@@ -111,20 +113,14 @@ def judge_videos(
     report = Progress("looking", sum(len(found.pixels) for found in keypoints.values()))
     out, done = {}, 0
     for part, video in videos.items():
-        out[part] = judge(_glance(video, part, keypoints[part], report, done, work))
-        done += len(keypoints[part].pixels)
+        points, path = keypoints[part], work / part / "glance.npz" if work else None
+        if path is not None and path.exists():
+            seen = Glance(video, part, **read_npz(path, "what was seen of a video", SEEN), keypoints=points)
+        else:
+            seen = glance(video, part, points, report, done)
+            if path is not None:
+                with whole_file(path) as file:
+                    np.savez(file, **{name: getattr(seen, name) for name in SEEN})
+        out[part] = judge(seen)
+        done += len(points.pixels)
     return out
-
-
-def _glance(
-    video: VideoFile, part: str, keypoints: Keypoints, report: Progress, done: int, work: Path | None
-) -> Glance:
-    path = work / part / "glance.npz" if work else None
-    if path is not None and path.exists():
-        stored = read_npz(path, "what was seen of a video", ("times", "small", "sharpness"))
-        return Glance(video, part, stored["times"], stored["small"], stored["sharpness"], keypoints)
-    seen = glance(video, part, keypoints, report, done)
-    if path is not None:
-        with whole_file(path) as file:
-            np.savez(file, times=seen.times, small=seen.small, sharpness=seen.sharpness)
-    return seen

@@ -4,20 +4,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
-from numpy import ndarray as Array
 
-from avatar.camera import Camera, project
+from avatar.camera import project
 from avatar.skeleton import JOINTS, PARTS
 from capture.frame_files import write_picture
 from capture.raw.scan import FittedScan, FittedVideo, RawVideo
 from capture.read.close_up import PartMasks
-from capture.read.template import TemplateMesh
 from command.errors import AssetError
 from geometry.rasterise import rasterise
 
 # metres beside the part that are cut out with it: hair, fingers that are bent otherwise
 BESIDE = {"head": 0.15, "hand_left": 0.06, "hand_right": 0.06}
+FOREARMS = {"head": (), "hand_left": (JOINTS.index("left_elbow"),), "hand_right": (JOINTS.index("right_elbow"),)}
 # share of a hand's box that may show other parts of the person
 COVERED = 0.15
 LEAST = 4  # frames
@@ -32,6 +30,9 @@ def cut_close_up(part: str, body: RawVideo, fitted: FittedScan, work: Path) -> t
     fit, template = fitted.videos[part], fitted.template
     place = PartMasks(template, part, fitted.landmarks)
     own = np.flatnonzero(template.part == PARTS.index(part))
+    # faces of what neither is the part nor the forearm before it
+    near = (template.part == PARTS.index(part)) | np.isin(template.skin.heaviest, FOREARMS[part])
+    other = ~near[template.faces].all(1)
     frames, boxes = [], []
     for i in np.flatnonzero(fit.usable & fitted.videos["body"].usable).tolist():
         posed, camera = place.placed(fit, i), fit.cameras[i]
@@ -39,10 +40,14 @@ def cut_close_up(part: str, body: RawVideo, fitted: FittedScan, work: Path) -> t
         pixels, depth = project(camera, posed[own])
         room = np.ceil(BESIDE[part] * place.unit * camera.K[0, 0] / np.median(depth))
         box = np.stack([np.floor(pixels.min(0)) - room, np.ceil(pixels.max(0)) + room]).astype(int)
-        # hands are as the body's video holds them: the whole person is posed
-        if part == "head" or _covered(posed, template, part, camera, box) < COVERED:
-            frames.append(i)
-            boxes.append(box)
+        if part != "head":
+            # hands are as the body's video holds them: the whole person is posed
+            (left, top), (width, height) = box[0].tolist(), (box[1] - box[0]).tolist()
+            face = rasterise(posed, template.faces, camera.cropped(left, top, (width, height))).face
+            if (other[face] & (face >= 0)).mean() >= COVERED:
+                continue
+        frames.append(i)
+        boxes.append(box)
     if len(frames) < LEAST:
         raise AssetError(f"body video: shows the {part} alone in {len(frames)} frames, expected {LEAST}: film it too")
     # windows of one size that hold the boxes, inside of the picture
@@ -66,13 +71,3 @@ def cut_close_up(part: str, body: RawVideo, fitted: FittedScan, work: Path) -> t
     raw = RawVideo(part, size, body.rate, body.frames[frames], tuple(paths), np.stack(masks), points, None)
     angles, root = (None if values is None else values[frames] for values in (fit.axis_angle, fit.root))
     return raw, FittedVideo(tuple(cameras), angles, root, np.ones(len(frames), bool))
-
-
-def _covered(posed: Float[Array, "vertices 3"], template: TemplateMesh, part: str, camera: Camera, box: Array) -> float:
-    """The share of a box in which parts of the person are seen that neither are `part` nor the forearm before it."""
-    width, height = (int(n) for n in box[1] - box[0])
-    face = rasterise(posed, template.faces, camera.cropped(int(box[0, 0]), int(box[0, 1]), (width, height))).face
-    elbow = JOINTS.index(part.removeprefix("hand_") + "_elbow")
-    near = (template.skin.heaviest == elbow) | (template.part == PARTS.index(part))
-    other: Bool[Array, "faces"] = ~near[template.faces].all(1)
-    return float((other[face] & (face >= 0)).mean())

@@ -19,7 +19,7 @@ from numpy import ndarray as Array
 from avatar.camera import Camera, project
 from capture.fit.pixels import bilinear
 from capture.folder import CaptureSubject, PartVideo
-from capture.template.eyes import EyeSpheres, eye_covers, eye_spheres, face_forward, first_hits
+from capture.template.eyes import EyeSpheres, eye_spheres, face_forward, first_hits, uncovered
 from capture.template.hull import head_cameras
 from geometry.least_squares import robust_cost, robust_weight
 
@@ -89,12 +89,12 @@ def fit_iris(
             views.append((camera, image))
     middles = subject.vertices[subject.faces].mean(1)
     sums = np.zeros((len(ANGLES), 2))
-    for centre, radius, cover in zip(spheres.centres, spheres.radii, eye_covers(subject, spheres)):
-        open_ = np.isinf(cover.length) & (cover.directions @ forward > np.cos(ASKED))
+    for centre, radius, directions in zip(spheres.centres, spheres.radii, uncovered(subject, spheres)):
+        asked = directions[directions @ forward > np.cos(ASKED)]
         near = np.linalg.norm(middles - centre, axis=1) < AROUND
         corners = subject.vertices[subject.faces[near]]
         for row, angle in enumerate(ANGLES):
-            surface = eye_front(cover.directions[open_], forward, float(angle))
+            surface = eye_front(asked, forward, float(angle))
             sums[row] += disagreement(centre, radius, surface, corners, views)
     if sums[:, 1].min() < PLACES * FRAMES:
         return None

@@ -30,7 +30,7 @@ from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, dense_weights, skin_points, strongest_four, unskin_points
 from capture.folder import CaptureSubject, PartVideo
 from capture.template.grid import DistanceGrid, closed_surface, distance_grid, trilinear
-from capture.template.hull import SEEN_BY, MaskView, background_share, large_pieces, sure_background
+from capture.template.hull import SEEN_BY, MaskView, background_share, large_pieces, mask_views
 from capture.template.surface import SurfaceCloud, surface_cloud, visible_faces
 from geometry.cells import distance_to
 from geometry.mesh import TriangleMesh, compact, neighbour_matrix
@@ -117,11 +117,8 @@ def held_pose(body: PartVideo, subject: CaptureSubject) -> tuple[Float[Array, "5
     pose = body.axis_angle.mean(0)
     pose[0] = 0
     pelvis = skin_transforms(pose, subject.joints, np.zeros(3))[0]
-    views = []
-    for beside, camera, axis_angle, root in zip(sure_background(body), body.cameras, body.axis_angle, body.root):
-        world_from_pose = skin_transforms(axis_angle, subject.joints, root)[0] @ np.linalg.inv(pelvis)
-        views.append(MaskView(beside, replace(camera, camera_from_world=camera.camera_from_world @ world_from_pose)))
-    return pose, views
+    moved = skin_transforms(body.axis_angle, subject.joints, body.root)[:, 0] @ np.linalg.inv(pelvis)
+    return pose, mask_views(body, moved)
 
 
 def standing_off(views: Sequence[MaskView], template: DistanceGrid, cloud: SurfaceCloud) -> Bool[Array, "x y z"]:

@@ -108,24 +108,19 @@ def socket_spheres(vertices: Float[Array, "vertices 3"]) -> Float[Array, "2 4"]:
     return np.array(spheres)
 
 
-class EyeCover(NamedTuple):
-    """What lies in front of one eyeball, seen from its middle."""
+def uncovered(subject: CaptureSubject, spheres: EyeSpheres) -> list[Float[Array, "n 3"]]:
+    """For each ball the unit directions from its middle in which neither lid nor socket is met within LID_REACH of it.
 
-    directions: Float[Array, "n 3"]  # unit, all round
-    # how far off the template is first met; inf: not within LID_REACH of the ball
-    length: Float[Array, "n"]
-
-
-def eye_covers(subject: CaptureSubject, spheres: EyeSpheres) -> list[EyeCover]:
-    """Lids and sockets seen from the middle of each ball; what is open to the front meets no lid."""
-    middles = subject.vertices[subject.faces].mean(1)
-    directions = fibonacci_sphere(DIRECTIONS)[:, [0, 2, 1]]
-    covers = []
+    Only the front can be open: behind the ball a socket may have holes, and what is behind is left out.
+    """
+    corners, forward = subject.vertices[subject.faces], face_forward(subject)
+    middles, directions = corners.mean(1), fibonacci_sphere(DIRECTIONS)[:, [0, 2, 1]]
+    found = []
     for centre, radius in zip(spheres.centres, spheres.radii):
         near = np.linalg.norm(middles - centre, axis=1) < radius + LID_REACH + 0.01
-        length = first_hits(centre, directions, subject.vertices[subject.faces[near]])
-        covers.append(EyeCover(directions, np.where(length < radius + LID_REACH, length, np.inf)))
-    return covers
+        free = first_hits(centre, directions, corners[near]) >= radius + LID_REACH
+        found.append(directions[free & (directions @ forward > 0)])
+    return found
 
 
 class HiddenLengths(NamedTuple):
@@ -169,12 +164,8 @@ def eye_openings(subject: CaptureSubject) -> Float[Array, "n 3"]:
     spheres = eye_spheres(subject)
     if spheres is None:
         return np.zeros((0, 3))
-    forward, found = face_forward(subject), []
-    for centre, radius, cover in zip(spheres.centres, spheres.radii, eye_covers(subject, spheres)):
-        # only the front can be open: behind the ball a socket may have holes
-        free = np.isinf(cover.length) & (cover.directions @ forward > 0)
-        found.append(centre + radius * cover.directions[free])
-    return np.concatenate(found)
+    each = zip(spheres.centres, spheres.radii, uncovered(subject, spheres))
+    return np.concatenate([centre + radius * directions for centre, radius, directions in each])
 
 
 def face_forward(subject: CaptureSubject) -> Float[Array, "3"]:

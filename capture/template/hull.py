@@ -65,27 +65,17 @@ class MaskView(NamedTuple):
     camera: Camera  # its camera_from_world takes canonical metres
 
 
-def sure_background(video: PartVideo) -> list[Bool[Array, "height width"]]:
-    """Frame by frame the pixels that surely show no person."""
+def mask_views(video: PartVideo, frames_from_canonical: Sequence[Float[Array, "4 4"]] | Array) -> list[MaskView]:
+    """A video's views of what moves by one rigid motion, or similarity, in each frame."""
     unsure = np.zeros_like(video.masks) if video.unsure is None else video.unsure
-    return [~mask & ~own for mask, own in zip(video.masks, unsure)]
+    cameras = map(moved_camera, video.cameras, frames_from_canonical)
+    return [MaskView(~mask & ~doubt, camera) for mask, doubt, camera in zip(video.masks, unsure, cameras, strict=True)]
 
 
 def head_cameras(video: PartVideo, canonical_from_head: Float[Array, "4 4"]) -> list[Camera]:
     """The head video's cameras; their frame differs from the canonical one by a similarity (Eq. 6)."""
     head_from_canonical = np.linalg.inv(canonical_from_head)
     return [moved_camera(camera, head_from_canonical) for camera in video.cameras]
-
-
-def body_views(video: PartVideo, subject: CaptureSubject) -> list[MaskView]:
-    """The body video's views as the head sees them: what hangs from the head moves with its bone."""
-    assert video.axis_angle is not None and video.root is not None
-    return [
-        MaskView(beside, moved_camera(camera, skin_transforms(axis_angle, subject.joints, root)[HEAD]))
-        for beside, camera, axis_angle, root in zip(
-            sure_background(video), video.cameras, video.axis_angle, video.root, strict=True
-        )
-    ]
 
 
 def moved_camera(camera: Camera, frame_from_canonical: Float[Array, "4 4"]) -> Camera:
@@ -222,7 +212,7 @@ def with_hair(
     around = np.array(AROUND)
     low, high = head.min(0) - around, head.max(0) + [around[0], 0.06, around[2]]
     body = capture.videos["body"]
-    assert body.axis_angle is not None
+    assert body.axis_angle is not None and body.root is not None
     held, visible = under_held_head(subject, body.axis_angle.mean(0)), visible_faces(subject)
 
     def distance_of(held: CaptureSubject) -> DistanceGrid:
@@ -235,17 +225,19 @@ def with_hair(
         others = (under_held_head(subject, body.axis_angle[i]) for i in even(len(body.axis_angle), RISEN))
         template = template._replace(values=np.min([template.values, *(distance_of(h).values for h in others)], 0))
     head_video = capture.videos["head"]
-    cameras = head_cameras(head_video, canonical_from_head)
-    views = [MaskView(*of) for of in zip(sure_background(head_video), cameras, strict=True)]
-    views += body_views(body, subject)
+    count = len(head_video.cameras)
+    views = mask_views(head_video, [np.linalg.inv(canonical_from_head)] * count)
+    # what hangs from the head moves with its bone
+    views += mask_views(body, skin_transforms(body.axis_angle, subject.joints, body.root)[:, HEAD])
     pictures = None
     if hollows and estimated:
         # under the chin a close-up's mask is not to be believed, but hair would have hair's color there too
-        films = (head_video, views[: len(cameras)]), (body, views[len(cameras) :])
+        films = (head_video, views[:count]), (body, views[count:])
         colored = [view for film, seen in films for view in color_views(
             film.images, ~np.stack([v.beside for v in seen]), [v.camera for v in seen], (low, high))]  # fmt: skip
         pictures = Pictures(held, colored, bare_vertices(subject, scalp))
     elif hollows:
+        cameras = [view.camera for view in views[:count]]
         pictures = Pictures(subject, color_views(head_video.images, head_video.masks, cameras))
     hair = carve(views, template, scalp, pictures, ESTIMATED if estimated else GIVEN)
     if hair is None:

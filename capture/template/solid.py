@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
-from capture.template.grid import DistanceGrid, distance_grid
+from capture.template.grid import distance_grid
 from capture.template.surface import air_beyond, occupied_cells, surface_cloud, visible_faces
 from geometry.cells import nearest_marked
 from geometry.isosurface import PointFunction
@@ -44,7 +44,17 @@ def template_behind_cloth(distance: PointFunction, subject: CaptureSubject) -> P
     near = visible & ((corners > low - 0.05) & (corners < high + 0.05)).all((1, 2))
     cloud = lambda chosen: surface_cloud(subject, PARTS.index("body"), chosen, SPACING, SPACING)
     template = distance_grid(cloud(visible), low, high, CELL)
-    further = seen_further(template, cloud(near & hidden).tree, cloud(near & ~hidden).tree)
+    # how much farther off than what cloth hides lies what is seen, at the grid's nodes, as far as it matters
+    reach = 3 * CELL
+    close = np.abs(template.values) < reach
+    places, farthest = template.low + CELL * np.argwhere(close), reach + BLEND
+    behind, seen = (
+        np.minimum(cloud(near & of).tree.query(places, distance_upper_bound=farthest, workers=-1)[0], farthest)
+        for of in (hidden, ~hidden)
+    )
+    values = np.zeros(close.shape, np.float32)
+    values[close] = seen - behind
+    further = template._replace(values=values[nearest_marked(close)])
 
     def replaced(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         """Signed distance at canonical points, metres; behind cloth it fades into the template's."""
@@ -57,18 +67,6 @@ def template_behind_cloth(distance: PointFunction, subject: CaptureSubject) -> P
         return value
 
     return replaced
-
-
-def seen_further(template: DistanceGrid, behind: KDTree, seen: KDTree) -> DistanceGrid:
-    """How much farther off than what cloth hides lies what is seen, at the nodes of the template's grid, metres; as far
-    as it matters."""
-    reach = 3 * template.cell
-    near = np.abs(template.values) < reach
-    places = template.low + template.cell * np.argwhere(near)
-    away = lambda tree: np.minimum(tree.query(places, distance_upper_bound=reach + BLEND, workers=-1)[0], reach + BLEND)
-    further = np.zeros(near.shape, np.float32)
-    further[near] = away(seen) - away(behind)
-    return template._replace(values=further[nearest_marked(near)])
 
 
 def outer_air(

@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_130,
     "avatar": 8_426,
     "geometry": 1_719,
-    "capture": 11_805,
+    "capture": 11_735,
     "train": 5_787,
     "bake": 4_469,
     "player": 18_673,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_703,
     "bench": 5_852,
     "selfscan": 412,
-    "tests": 35_801,
+    "tests": 35_650,
 }
 
 

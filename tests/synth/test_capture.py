@@ -9,8 +9,11 @@ from PIL import Image
 
 from avatar.camera import Camera, look_at, project, read_cameras
 from avatar.rotation import matrix_from_axis_angle
+from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
+from capture.folder import CaptureSubject
+from capture.folder import read_subject as read_template
 from capture.held_out import read_held_out
 from synth.command import SynthConfig, synth
 from synth.cutout import cut_out
@@ -35,11 +38,18 @@ def capture(person, made_once) -> Path:
 
 
 @pytest.fixture(scope="module")
-def template(capture):
-    with np.load(capture / "subject.npz") as fields:
-        fields = dict(fields)
-    skin = SkinWeights(fields["skin_joints"].astype(np.int64), fields["skin_weights"])
-    return fields["v_template"].astype(np.float64), fields["faces"], skin, fields["joints"].astype(np.float64)
+def subject(person) -> SynthSubject:
+    return read_subject(person)
+
+
+@pytest.fixture(scope="module")
+def studio(rasteriser, subject) -> Studio:
+    return Studio(rasteriser, subject, supersample=1)
+
+
+@pytest.fixture(scope="module")
+def template(capture) -> CaptureSubject:
+    return read_template(capture / "subject.npz")
 
 
 def test_the_template_lies_on_the_surface(capture):
@@ -49,8 +59,8 @@ def test_the_template_lies_on_the_surface(capture):
     assert registration["head_cm"] < 0.08
 
 
-def test_the_template_keeps_the_subjects_own_joints(person, template):
-    np.testing.assert_array_equal(template[3], read_subject(person).joints.astype(np.float64))
+def test_the_template_keeps_the_subjects_own_joints(subject, template):
+    np.testing.assert_array_equal(template.joints, subject.joints.astype(np.float64))
 
 
 def overlap(drawn, path):
@@ -60,31 +70,27 @@ def overlap(drawn, path):
 
 
 @pytest.mark.parametrize("part", ["body", "hand_left", "hand_right"])
-def test_the_posed_template_fills_the_masks(capture, template, rasteriser, person, part):
+def test_the_posed_template_fills_the_masks(capture, template, rasteriser, studio, part):
     """With the true poses: the written ones carry a degree of noise on purpose."""
-    vertices, faces, skin, joints = template
-    shots = plan_videos(Studio(rasteriser, read_subject(person)), CONFIG.frames, CONFIG.size)[part]
+    shots = plan_videos(studio, CONFIG.frames, CONFIG.size)[part]
     both = []
     for i, camera in enumerate(read_cameras(capture / part / "cameras.npz")):
-        transforms = skin_transforms(shots.axis_angle[i], joints, shots.root[i], rest=np.zeros((52, 3)))
-        drawn = rasteriser.draw(skin_points(vertices, skin, transforms), faces, camera).face >= 0
+        transforms = skin_transforms(shots.axis_angle[i], template.joints, shots.root[i], rest=np.zeros((52, 3)))
+        drawn = rasteriser.draw(skin_points(template.rest, template.skin, transforms), template.faces, camera).face >= 0
         both.append(overlap(drawn, capture / part / "masks" / f"{i:06d}.png"))
     assert np.mean(both) > 0.95  # of masks 15 pixels wide at a shin; .975 at 256 pixels
 
 
 def test_the_template_in_the_head_frame_fills_the_masks(capture, template, rasteriser):
-    vertices, faces, _, _ = template
     similarity = seeded_similarity(CONFIG.seed)
-    in_head = vertices @ similarity[:3, :3].T + similarity[:3, 3]
+    in_head = template.rest @ similarity[:3, :3].T + similarity[:3, 3]
     cameras = read_cameras(capture / "head" / "cameras.npz")
-    drawn = [rasteriser.draw(in_head, faces, camera).face >= 0 for camera in cameras]
+    drawn = [rasteriser.draw(in_head, template.faces, camera).face >= 0 for camera in cameras]
     masks = sorted((capture / "head" / "masks").iterdir())
     assert np.mean(list(map(overlap, drawn, masks))) > 0.97
 
 
-def test_head_cameras_show_what_the_world_cameras_show(rasteriser, person):
-    subject = read_subject(person)
-    studio = Studio(rasteriser, subject)
+def test_head_cameras_show_what_the_world_cameras_show(studio, subject):
     shots = plan_videos(studio, 4, 128)["head"]
     similarity = seeded_similarity(9)
     head = subject.vertices[subject.skin.weights[:, 0] * (subject.skin.joints[:, 0] == JOINTS.index("head")) == 1]
@@ -99,18 +105,15 @@ def test_head_cameras_show_what_the_world_cameras_show(rasteriser, person):
 def test_landmarks_give_the_similarity_back(capture, template):
     stored = json.loads((capture / "head" / "landmarks.json").read_text())
     assert len(stored["points"]) >= 6 and stored["points"].keys() == stored["vertices"].keys()
-    source = template[0][list(stored["vertices"].values())]
-    target = np.array(list(stored["points"].values()))
-    a, b = source - source.mean(0), target - target.mean(0)
-    U, S, Vt = np.linalg.svd(b.T @ a)
-    flip = np.diag([1, 1, np.linalg.det(U @ Vt)])
-    scale, turn = np.trace(np.diag(S) @ flip) / (a**2).sum(), U @ flip @ Vt
-    similarity = seeded_similarity(CONFIG.seed)
-    true_scale = np.cbrt(np.linalg.det(similarity[:3, :3]))
-    assert abs(scale / true_scale - 1) < 0.02
-    assert np.degrees(np.arccos((np.trace(turn @ similarity[:3, :3].T / true_scale) - 1) / 2)) < 2
-    rms = np.sqrt((((scale * a @ turn.T - b) / scale) ** 2).mean())
-    assert 0.5 * LANDMARK_NOISE < rms < 1.5 * LANDMARK_NOISE
+    source = template.rest[list(stored["vertices"].values())]
+    found = similarity_from_landmarks(source, np.array(list(stored["points"].values())))
+    off = np.linalg.inv(seeded_similarity(CONFIG.seed)) @ found.transform
+    scale = np.cbrt(np.linalg.det(off[:3, :3]))
+    assert abs(scale - 1) < 0.02
+    assert np.degrees(np.arccos((np.trace(off[:3, :3] / scale) - 1) / 2)) < 2
+    # root of the mean square of three coordinates, in the head's unit
+    unit = np.cbrt(np.linalg.det(found.transform[:3, :3]))
+    assert 0.5 * LANDMARK_NOISE < found.residual / unit / np.sqrt(3) < 1.5 * LANDMARK_NOISE
 
 
 @pytest.mark.slow
@@ -125,8 +128,8 @@ def test_the_same_seed_writes_the_same_bytes(capture, person, tmp_path):
     assert not [name for name in names if (capture / name).read_bytes() != (tmp_path / "second" / name).read_bytes()]
 
 
-def test_pose_noise_is_on_the_written_poses_and_nowhere_else(capture, rasteriser, person):
-    shots = plan_videos(Studio(rasteriser, read_subject(person)), CONFIG.frames, CONFIG.size)["body"]
+def test_pose_noise_is_on_the_written_poses_and_nowhere_else(capture, studio):
+    shots = plan_videos(studio, CONFIG.frames, CONFIG.size)["body"]
     with np.load(capture / "body" / "poses.npz") as written:
         noisy = matrix_from_axis_angle(written["poses"].reshape(-1, 52, 3))
         np.testing.assert_array_equal(written["trans"], shots.root)
@@ -146,9 +149,7 @@ def test_head_and_hand_pixels_are_two_millimetres_or_less(capture):
         assert distance / camera.K[0, 0] <= 0.002
 
 
-def test_held_out_pictures_read_back(rasteriser, person, tmp_path):
-    subject = read_subject(person)
-    studio = Studio(rasteriser, subject, supersample=1)
+def test_held_out_pictures_read_back(rasteriser, studio, subject, tmp_path):
     stand = Stand(0.1 * np.random.default_rng(0).standard_normal((52, 3)), np.array([0.5, 0, -2]))
     names = list(take_set(studio, [stand], tmp_path / "truth" / "novel_pose", light_of("even", "body", 0), 0.0, 0))
     views = read_held_out(tmp_path, "novel_pose")
@@ -202,10 +203,8 @@ def test_a_textured_quad_is_drawn_texel_by_texel(rasteriser):
     assert (photo.mask == 255).all() and (photo.parts == 1).all()
 
 
-def test_a_picture_in_the_room_keeps_mask_and_parts_and_is_darker_on_the_far_side(rasteriser, person):
+def test_a_picture_in_the_room_keeps_mask_and_parts_and_is_darker_on_the_far_side(studio):
     """Studio with a room: the window is at the picture's left, the body's right half is darker than its left one."""
-    subject = read_subject(person)
-    studio = Studio(rasteriser, subject, supersample=1)
     shots = plan_videos(studio, 4, 64)["body"]
     vertices = studio.posed(shots.axis_angle[0], shots.root[0])
     even = studio.take(vertices, shots.cameras[0], light_of("even", "body", 0), 0.0)

@@ -49,13 +49,6 @@ def test_poses_that_follow_their_keypoints_are_no_finding(tmp_path, turning, rep
     assert any(line.startswith("body: keypoints 0.0 px") for line in keypoint_lines(followed))
 
 
-def test_exchanged_sides_are_found(tmp_path, turning, report):
-    (finding,) = keypoint_findings(
-        compare_keypoints(turning, written(tmp_path / "a", turning, name_of=exchanged), report)
-    )
-    assert finding.fatal and "left and right are exchanged" in finding.what
-
-
 def test_keypoints_of_somewhere_else_are_found(tmp_path, turning, report):
     followed = compare_keypoints(turning, written(tmp_path / "a", turning, shift=25.0), report)
     (finding,) = keypoint_findings(followed)

@@ -30,12 +30,8 @@ def _news(capture, turning, good) -> dict[str, bool]:
     head, subject = capture.videos["head"], capture.subject
     fit = similarity_from_landmarks(head.landmarks, subject.vertices[head.landmark_vertices])
     visible = np.ones(len(subject.faces), bool)
-    parts = {
-        part: examine_part(capture, part, good.head_scale, visible)
-        if video is not turning.videos[part]
-        else good.parts[part]
-        for part, video in capture.videos.items()
-    }
+    changed = [part for part, video in capture.videos.items() if video is not turning.videos[part]]
+    parts = good.parts | {part: examine_part(capture, part, good.head_scale, visible) for part in changed}
     after = verdict(replace(good, parts=parts, landmark_residual=fit.residual)).findings
     before = {(f.part, f.what) for f in verdict(good).findings}
     return {f"{f.part}: {f.what}": f.fatal for f in after if (f.part, f.what) not in before}
@@ -78,25 +74,19 @@ def _pictures_exchanged(capture):
     return with_video(capture, "hand_right", images=left.images, masks=left.masks)
 
 
-def _off(capture):
-    poses = capture.videos["hand_left"].axis_angle.copy()
-    poses[:, 16] += np.radians([4, 2, 3])
-    return with_video(capture, "hand_left", axis_angle=poses)
+def _put(part, field, where, value, add=False):
+    """A video's array with a value put into it, or added."""
 
-
-def _nobody(frames):
     def spoil(capture):
-        masks = capture.videos["body"].masks.copy()
-        masks[frames] = False
-        return with_video(capture, "body", masks=masks)
+        array = getattr(capture.videos[part], field).copy()
+        array[where] = array[where] + value if add else value
+        return with_video(capture, part, **{field: array})
 
     return spoil
 
 
-def _background_in_mask(capture):
-    masks = capture.videos["hand_right"].masks.copy()
-    masks[2, 10:54, 5:59] = True
-    return with_video(capture, "hand_right", masks=masks)
+def _nobody(frames):
+    return _put("body", "masks", frames, False)
 
 
 def _one_side(capture):
@@ -106,27 +96,18 @@ def _one_side(capture):
 
 
 def _stuck(capture):
-    images = capture.videos["body"].images.copy()
-    images[3] = images[2]
-    return with_video(capture, "body", images=images)
-
-
-def _burnt(capture):
-    images = capture.videos["hand_left"].images.copy()
-    images[:, ::2] = 255
-    return with_video(capture, "hand_left", images=images)
+    images = capture.videos["body"].images
+    return with_video(capture, "body", images=images[[0, 1, 2, 2, *range(4, TURN)]])
 
 
 def _head_elsewhere(capture):
     return with_video(capture, "head", masks=np.roll(capture.videos["head"].masks, 32, 2))
 
 
-def _wrong_landmark(capture):
-    points = capture.videos["head"].landmarks.copy()
-    points[3] += 0.1  # half metres
-    return with_video(capture, "head", landmarks=points)
-
-
+_off = _put("hand_left", "axis_angle", np.s_[:, 16], np.radians([4, 2, 3]), add=True)
+_background_in_mask = _put("hand_right", "masks", np.s_[2, 10:54, 5:59], True)
+_burnt = _put("hand_left", "images", np.s_[:, ::2], 255)
+_wrong_landmark = _put("head", "landmarks", 3, 0.1, add=True)  # half metres
 SIDES = ("left", "right")
 ERODED = partial(ndimage.binary_erosion, iterations=2, border_value=1)
 DILATED = partial(ndimage.binary_dilation, iterations=2)
@@ -158,12 +139,9 @@ def test_what_is_spoilt_is_found(turning, good, case):
     for pattern in expected:
         hits = [is_fatal for what, is_fatal in news.items() if re.search(pattern, what)]
         assert hits and (fatal is None or hits == [fatal]), (pattern, news)
-
-
-@pytest.mark.parametrize("case", ["masks eroded", "masks dilated"])
-def test_masks_of_another_size_are_not_taken_for_wrong_poses(turning, good, case):
-    news = _news(SPOILT[case][0](turning), turning, good)
-    assert not any("px off the masks" in what for what in news if what.startswith("hand")), news
+    # masks of another size are not taken for wrong poses
+    if case in ("masks eroded", "masks dilated"):
+        assert not any("px off the masks" in what for what in news if what.startswith("hand")), news
 
 
 @pytest.mark.parametrize("frame", [0, 7, 19])

@@ -31,13 +31,10 @@ def twin():
     return turning_twin()
 
 
-def test_first_guess_faces_the_right_way_in_every_frame(twin):
+def test_first_guess_faces_the_right_way_in_every_frame_and_keypoints_alone_find_the_limbs(twin):
     guess, _ = first_guess(person_of("male", 1.8), twin.footage)
     assert degrees_off(twin.truth, guess).max() < 25
     assert np.abs(guess.root - twin.truth.root).max() < 0.25
-
-
-def test_keypoints_alone_find_the_limbs(twin):
     found, _ = fit_keypoints(person_of("male", 1.8), twin.footage, QUIET)
     assert limb_error(twin.truth, found) < 0.02
     assert np.median(degrees_off(twin.truth, found)) < 2.5

@@ -28,6 +28,11 @@ def shown(truth, names, moving):
     return truth, replace(footage, pixels=footage.pixels + noise, sure=2 * footage.sure)
 
 
+def posed(person, root, heading, angles):
+    """The truth of frames of a person of the free body's shape."""
+    return Estimate(person, np.zeros(len(person.sigma)), np.zeros((1, 3)), 0.0, angles[0], root, heading, angles)
+
+
 def degrees(a, b):
     return np.degrees(np.linalg.norm(axis_angle_from_matrix(np.swapaxes(a, -1, -2) @ b), axis=-1))
 
@@ -35,16 +40,14 @@ def degrees(a, b):
 def turned_hand(side):
     """A bent hand that turns once, its roll and its footage."""
     person = person_of("male")
-    g = np.zeros(len(person.sigma))
-    wrist = JOINTS.index(f"{side}_wrist")
+    wrist = person.body.joints[JOINTS.index(f"{side}_wrist")]
     roll = 2 * np.pi * np.arange(FRAMES) / FRAMES
     sign = 1 if side == "left" else -1
     up = matrix_from_axis_angle(np.array([0, 0, sign * np.pi / 2]))
     heading = matrix_from_axis_angle(roll[:, None] * [0, 1.0, 0]) @ up
     angles = np.zeros((FRAMES, 52, 3))
     angles[:, hand.hand_joints(side)[1:], 0] = np.radians(12)
-    root = np.array([0, 0, -0.5]) - heading @ person.joints(g)[wrist]
-    truth = Estimate(person, g, np.zeros((1, 3)), 0.0, angles[0], root, heading, angles)
+    truth = posed(person, np.array([0, 0, -0.5]) - heading @ wrist, heading, angles)
     return shown(truth, hand.hand_names(side)[:-1], hand.hand_joints(side))
 
 
@@ -76,17 +79,14 @@ def test_outlines_of_thicker_fingers_do_not_draw_the_hand_nearer():
 
 def test_head_is_followed_through_frames_that_show_no_face():
     person = person_of("female")
-    g = np.zeros(len(person.sigma))
     turn = 2 * np.pi * np.arange(FRAMES) / FRAMES
     heading = matrix_from_axis_angle(turn[:, None] * [0, 1.0, 0])
-    neck = person.joints(g)[head.HEAD]
-    root = np.array([0, 0, -0.7]) - heading @ neck
-    angles = np.zeros((FRAMES, 52, 3))
-    truth = Estimate(person, g, np.zeros((1, 3)), 0.0, angles[0], root, heading, angles)
+    neck = person.body.joints[head.HEAD]
+    truth = posed(person, np.array([0, 0, -0.7]) - heading @ neck, heading, np.zeros((FRAMES, 52, 3)))
     truth, footage = shown(truth, head.NAMES, np.zeros(0, np.int64))
     behind = np.cos(turn) < -0.3
     footage = replace(footage, sure=np.where(behind[:, None], 0.0, footage.sure))
-    found = head.first_guess(person, g, footage)
+    found = head.first_guess(person, truth.g, footage)
     priors = head.turning(found, footage)
     found = solve(found, footage, priors, cuts=(head.FIRST, *CUTS), rounds=10)
     off = degrees(heading, found.heading)
@@ -99,15 +99,13 @@ def test_head_is_followed_through_frames_that_show_no_face():
 
 def in_one_picture(thickness=0.0):
     """Somebody who poses, in clothes so thick (metres); keypoints and mask."""
-    person = person_of("male")
-    g = np.zeros(len(person.sigma))
     angles = np.zeros((1, 52, 3))
     for side, forwards in (("left", 50), ("right", -10)):
         angles[0, JOINTS.index(f"{side}_shoulder"), :2] = np.radians([-45, forwards])
         angles[0, JOINTS.index(f"{side}_elbow"), 0] = np.radians(70)
     angles[0, JOINTS.index("left_hip"), 0] = angles[0, JOINTS.index("left_knee"), 0] = np.radians(60)
     heading = matrix_from_axis_angle(np.array([[0, np.radians(30), 0]]))
-    truth = Estimate(person, g, np.zeros((1, 3)), 0.0, angles[0], np.array([[0.1, 0.1, -3.5]]), heading, angles)
+    truth = posed(person_of("male"), np.array([[0.1, 0.1, -3.5]]), heading, angles)
     truth, footage = shown(truth, body_names(), MOVING)
     seen = Keypoints(footage.names, footage.pixels, np.ones_like(footage.sure), footage.size)
     return truth, seen, in_clothes(truth, footage, thickness).masks[0], footage.focal
@@ -134,9 +132,8 @@ def test_clothes_that_the_template_lacks_do_not_draw_it_nearer_to_one_picture():
 
 def test_a_finished_step_is_read_back_for_the_same_video_alone(tmp_path, monkeypatch):
     person = person_of("male")
-    truth = Estimate(person, np.zeros(len(person.sigma)), np.zeros((1, 3)), 0.1, np.zeros((52, 3)), np.zeros((2, 3)),
-                     np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 52, 3)))  # fmt: skip
-    truth, footage = shown(replace(truth, root=truth.root - [0, 0, 3]), body_names(), MOVING)
+    truth = posed(person, np.tile([0, 0, -3.0], (2, 1)), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 52, 3)))
+    truth, footage = shown(replace(truth, log_focal=0.1), body_names(), MOVING)
     inputs = fingerprint(footage, "male")
     write_step(tmp_path / "body.npz", estimate_fields(truth), inputs)
     kept = read_step(tmp_path / "body.npz", FIELDS, inputs)

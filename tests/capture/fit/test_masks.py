@@ -15,9 +15,12 @@ def test_a_disc_regrown_is_a_disc_of_another_radius(pixels):
     assert (grown != (away < 15 + pixels))[abs(away - 15 - pixels) > 1].sum() == 0
 
 
-def test_masks_without_an_edge_have_no_distance():
-    assert (signed_pixels(np.ones((1, 4, 4), bool)) == -np.inf).all()
-    assert (signed_pixels(np.zeros((1, 4, 4), bool)) == np.inf).all()
+@pytest.mark.parametrize("full", [True, False])
+def test_masks_without_an_edge_have_no_distance_and_stay_as_they_are(full):
+    mask = np.full((20, 20), full)
+    assert (signed_pixels(mask[None]) == (-np.inf if full else np.inf)).all()
+    found, unsure = edge_by_colors(np.zeros((20, 20, 3), np.uint8), mask, -2.0, np.zeros_like(mask))
+    assert np.array_equal(found, mask) and not unsure.any()
 
 
 def test_clothes_on_the_body_alone_are_no_fault_of_the_masks():
@@ -78,13 +81,6 @@ def test_a_limb_that_the_picture_does_not_show_stays_unsure():
     limb[5:9, 60:70] = True  # the template's, on black
     found, unsure = edge_by_colors(image, _off(person, -2), -2.0, limb)
     assert not found[limb].any() and unsure[limb].all()
-
-
-@pytest.mark.parametrize("full", [True, False])
-def test_a_mask_without_an_edge_stays_as_it_is(full):
-    mask = np.full((20, 20), full)
-    found, unsure = edge_by_colors(np.zeros((20, 20, 3), np.uint8), mask, -2.0, np.zeros_like(mask))
-    assert np.array_equal(found, mask) and not unsure.any()
 
 
 @pytest.mark.parametrize("value", [0, 200])

@@ -40,14 +40,9 @@ def write_openpose(folder, points, unseen, people=1):
     for frame in range(FRAMES):
         flat = rows(openpose.NAMES, points, unseen, frame)
         parts = np.split(flat, [25, 46, 67])
-        person = {
-            "person_id": [-1],
-            "pose_keypoints_2d": parts[0].ravel().tolist(),
-            "hand_left_keypoints_2d": parts[1].ravel().tolist(),
-            "hand_right_keypoints_2d": parts[2].ravel().tolist(),
-            "face_keypoints_2d": np.concatenate([parts[3], np.zeros((2, 3))]).ravel().tolist(),
-        }
-        small = {key: (np.array(v) * 0.1).tolist() if key != "person_id" else v for key, v in person.items()}
+        parts[3] = np.concatenate([parts[3], np.zeros((2, 3))])
+        keys = [f"{part}_keypoints_2d" for part in ("pose", "hand_left", "hand_right", "face")]
+        small, person = ({key: (size * part).ravel().tolist() for key, part in zip(keys, parts)} for size in (0.1, 1))
         content = {"version": 1.3, "people": [small] * (people - 1) + [person]}
         (folder / f"me_{frame:012d}_keypoints.json").write_text(json.dumps(content))
     return folder
@@ -55,29 +50,30 @@ def write_openpose(folder, points, unseen, people=1):
 
 def write_mmpose(path, points, unseen):
     infos = []
-    for frame in range(FRAMES):
-        flat = rows(coco_wholebody.NAMES, points, unseen, frame)
+    for frame, flat in wholebody(points, unseen):
         person = {"keypoints": flat[:, :2].tolist(), "keypoint_scores": flat[:, 2].tolist(), "bbox": [[0, 0, 9, 9]]}
         infos.append({"frame_id": frame + 1, "instances": [person]})
     path.write_text(json.dumps({"meta_info": {"dataset_name": "coco_wholebody"}, "instance_info": infos}))
     return path
 
 
+def wholebody(points, unseen):
+    """Each frame's number, and its rows of COCO-WholeBody."""
+    return [(frame, rows(coco_wholebody.NAMES, points, unseen, frame)) for frame in range(FRAMES)]
+
+
 def write_results(path, points, unseen):
-    people = []
-    for frame in (2, 0, 1):
-        flat = rows(coco_wholebody.NAMES, points, unseen, frame)
-        people.append({"image_id": 10 + frame, "category_id": 1, "keypoints": flat.ravel().tolist(), "score": 0.9})
-    path.write_text(json.dumps(people))
+    people = [{"image_id": 10 + frame, "category_id": 1, "keypoints": flat.ravel().tolist(), "score": 0.9}
+              for frame, flat in wholebody(points, unseen)]  # fmt: skip
+    path.write_text(json.dumps([people[2], *people[:2]]))
     return path
 
 
 def write_annotations(path, points, unseen):
     people = []
-    for frame in range(FRAMES):
-        flat = rows(coco_wholebody.NAMES, points, unseen, frame)
-        parts = dict(zip([key for key, _ in coco_wholebody.GROUPS], np.split(flat, [17, 23, 91, 112]), strict=True))
-        people.append({"image_id": frame, **{key: part.ravel().tolist() for key, part in parts.items()}})
+    for frame, flat in wholebody(points, unseen):
+        parts = zip(coco_wholebody.GROUPS, np.split(flat, [17, 23, 91, 112]), strict=True)
+        people.append({"image_id": frame, **{key: part.ravel().tolist() for (key, _), part in parts}})
     path.write_text(json.dumps({"images": [], "annotations": people}))
     return path
 
@@ -136,42 +132,28 @@ def test_left_is_the_persons_left_and_the_orders_are_the_published_ones():
     assert [openpose.NAMES[k] for k in (2, 7, 8, 12, 19, 24)] == [
         "right_shoulder", "left_wrist", "hips", "left_hip", "left_big_toe", "right_heel"]  # fmt: skip
     names = coco_wholebody.NAMES
-    assert (
-        len(names) == 133 and names[5] == "left_shoulder" and names[17] == "left_big_toe" and names[22] == "right_heel"
-    )
-    assert (
-        names[23:91] == FACE
-        and names[91] == "left_hand"
-        and names[112] == "right_hand"
-        and names[132] == "right_pinky_tip"
-    )
+    assert len(names) == 133 and names[23:91] == FACE and [names[k] for k in (5, 17, 22, 91, 112, 132)] == [
+        "left_shoulder", "left_big_toe", "right_heel", "left_hand", "right_hand", "right_pinky_tip"]  # fmt: skip
     assert mediapipe.POSE[11] == "left_shoulder" and mediapipe.POSE[28] == "right_ankle" and len(mediapipe.POSE) == 33
 
 
-def test_of_several_people_the_largest_is_taken_and_said(tmp_path):
-    points, unseen = truth()
-    alone = read_keypoints(write_openpose(tmp_path / "one", points, unseen))
-    found = read_keypoints(write_openpose(tmp_path / "three", points, unseen, people=3))
+def test_of_several_people_the_largest_is_taken_and_an_empty_frame_is_unseen_and_both_are_said(tmp_path):
+    alone = read_keypoints(write_openpose(tmp_path / "one", *truth()))
+    found = read_keypoints(write_openpose(tmp_path / "three", *truth(), people=3))
     np.testing.assert_allclose(found.pixels, alone.pixels)
     assert any("several in a frame, the largest" in note for note in found.notes) and not alone.notes
-
-
-def test_an_empty_frame_is_unseen_and_said(tmp_path):
-    points, unseen = truth()
-    folder = write_openpose(tmp_path / "op", points, unseen)
-    (folder / "me_000000000001_keypoints.json").write_text('{"people": []}')
-    found = read_keypoints(folder)
+    (tmp_path / "one" / "me_000000000001_keypoints.json").write_text('{"people": []}')
+    found = read_keypoints(tmp_path / "one")
     assert (found.confidence[1] == 0).all() and np.isnan(found.pixels[1]).all() and (found.confidence[0] > 0).any()
     assert "no person in 1 of 3 frames" in found.notes
 
 
 def test_parts_of_a_picture_need_its_size(tmp_path):
-    points, unseen = truth()
-    path = write_mediapipe(tmp_path / "a.json", points, unseen, told=False)
+    path = write_mediapipe(tmp_path / "a.json", *truth(), told=False)
     with pytest.raises(AssetError, match="a picture of unknown size"):
         read_keypoints(path)
     given = read_keypoints(path, size=SIZE)
-    np.testing.assert_allclose(given.seen("nose")[:, :2], points["nose"], atol=1e-9)
+    np.testing.assert_allclose(given.seen("nose")[:, :2], truth()[0]["nose"], atol=1e-9)
 
 
 def spoilt(change):
@@ -201,18 +183,12 @@ def spoilt(change):
     ],
 )
 def test_bad_keypoints_are_refused_by_name(tmp_path, spoil, match):
-    points, unseen = truth()
-    source = write_openpose(tmp_path / "op", points, unseen) / "me_000000000000_keypoints.json"
+    source = write_openpose(tmp_path / "op", *truth()) / "me_000000000000_keypoints.json"
     path = tmp_path / "bad.json"
     path.write_text(json.dumps(spoil(json.loads(source.read_text()))))
     with pytest.raises(AssetError, match=match) as error:
         read_keypoints(path)
     assert "\n" not in str(error.value)
-
-
-def test_a_folder_of_nothing_is_refused(tmp_path):
-    with pytest.raises(AssetError, match=r"expected keypoints .*found none"):
-        read_keypoints(tmp_path)
 
 
 def test_the_real_holistic_result_has_its_points_where_the_photo_has_them(data, tmp_path):
@@ -246,14 +222,14 @@ def test_a_face_of_mediapipe_gives_the_68_points(data, tmp_path):
     assert x[48] == x[48:].min() and x[54] == x[48:].max() and y[51] < y[62] < y[66] < y[57]
 
 
-def test_a_folder_with_a_file_of_mediapipe_for_each_frame_is_refused(tmp_path):
-    points, unseen = truth()
-    (tmp_path / "head").mkdir()
-    write_mediapipe(tmp_path / "head" / "0.json", points, unseen)
-    assert len(read_keypoints(tmp_path / "head").pixels) == FRAMES
-    write_mediapipe(tmp_path / "head" / "1.json", points, unseen)
+def test_a_folder_of_nothing_and_one_with_a_file_of_mediapipe_for_each_frame_are_refused(tmp_path):
+    with pytest.raises(AssetError, match=r"expected keypoints .*found none"):
+        read_keypoints(tmp_path)
+    write_mediapipe(tmp_path / "0.json", *truth())
+    assert len(read_keypoints(tmp_path).pixels) == FRAMES
+    write_mediapipe(tmp_path / "1.json", *truth())
     with pytest.raises(AssetError, match="expected all frames of MediaPipe in one file, found 2 files"):
-        read_keypoints(tmp_path / "head")
+        read_keypoints(tmp_path)
 
 
 def test_results_of_mediapipes_tasks_are_written_as_its_files_and_read_back(tmp_path):

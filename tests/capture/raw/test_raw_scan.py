@@ -20,15 +20,11 @@ def video(folder, frames=3, size=(32, 24), part="body"):
     return RawVideo(part, size, 30.0, 10 * np.arange(frames), tuple(pictures), masks, keypoints, None)
 
 
-def test_pictures_are_read_when_asked_for(tmp_path):
+def test_pictures_are_read_when_asked_for_and_one_of_another_size_is_refused(tmp_path):
     raw = video(tmp_path)
     assert [raw.picture(i)[0, 0].tolist() for i in (2, 0)] == [[2, 0, 7], [0, 0, 7]]
     # none is held: what travels to a worker is names, masks and points
     assert len(pickle.dumps(raw)) < raw.masks.nbytes + 3000
-
-
-def test_picture_of_another_size_is_refused(tmp_path):
-    raw = video(tmp_path)
     Image.new("RGB", (24, 32)).save(raw.pictures[1])
     with pytest.raises(AssetError, match=r"000001\.png: should be \(32, 24\) pixels as the video, is \(24, 32\)"):
         raw.picture(1)

@@ -1,5 +1,6 @@
 """Videos of a painted figure: read, judged, frames chosen, masks against the truth."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -128,6 +129,11 @@ def said(at):
     return problem.line("body.mp4")
 
 
+def judged_with(at, **changed):
+    """What is said of a video with other keypoints."""
+    return judge(replace(at, keypoints=replace(at.keypoints, **changed)))
+
+
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
@@ -139,9 +145,7 @@ def said(at):
 )  # fmt: skip
 def test_what_spoils_a_video_is_said_with_what_to_do(tmp_path, changed, expected):
     film(tmp_path, "body", "body", **changed)
-    at = judged(tmp_path)
-    with pytest.raises(AssetError, match=expected):
-        raise AssetError(said(at))
+    assert re.search(expected, said(judged(tmp_path)))
 
 
 @pytest.mark.parametrize(("quarter", "side"), [(1, "right"), (-1, "left")])
@@ -149,22 +153,19 @@ def test_a_film_on_its_side_is_called_so_and_nothing_else(body, quarter, side):
     at = body[2].glance
     x, y = (at.keypoints.pixels - np.array(SIZE) / 2).transpose(2, 0, 1)
     turned = np.stack([-quarter * y, quarter * x], -1) + np.array(SIZE) / 2
-    judged = judge(replace(at, keypoints=replace(at.keypoints, pixels=turned)))
-    (problem,) = judged.problems
+    (problem,) = judged_with(at, pixels=turned).problems
     assert problem.fatal and problem.what == f"the film lies on its side, with the head to the {side}"
 
 
 def test_a_part_that_is_lost_beyond_the_border_counts_as_cut_off(body):
     """Detectors find nothing there; before that, points came near the border."""
     at = body[2].glance
-    points = at.keypoints
-    pixels, confidence = points.pixels.copy(), points.confidence.copy()
+    pixels, confidence = at.keypoints.pixels.copy(), at.keypoints.confidence.copy()
     pixels[60:, :, 0] += np.linspace(0, 200, 30)[:, None]
     confidence[60:][pixels[60:, :, 0] > SIZE[0] - 4] = 0
-    judged = judge(replace(at, keypoints=replace(points, pixels=pixels, confidence=confidence)))
-    (problem,) = [problem for problem in judged.problems if "leaves" in problem.what]
-    assert "at the right from 2." in problem.what, problem.what
-    assert problem.what.endswith("s on")
+    found = judged_with(at, pixels=pixels, confidence=confidence)
+    (what,) = [problem.what for problem in found.problems if "leaves" in problem.what]
+    assert "at the right from 2." in what and what.endswith("s on"), what
 
 
 def test_without_an_empty_second_there_is_advice_and_no_refusal(tmp_path):
@@ -188,7 +189,7 @@ def test_keypoints_of_another_video_do_not_lie_on_the_person(tmp_path):
 
 
 def test_keypoints_of_another_length_are_refused(body, tmp_path):
-    folder, _, at = body
+    at = body[2]
     points = at.glance.keypoints.of_frames(np.arange(50))
     with pytest.raises(AssetError, match="the video has 90 frames, its keypoints 50"):
         glance(at.glance.video, "body", points, Progress("looking", 9))

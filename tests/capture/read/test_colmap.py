@@ -10,10 +10,8 @@ from foreign_layouts import write_colmap
 from capture.read.colmap import read_colmap
 from command.errors import AssetError
 
-MODELS = ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
 
-
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"])
 @pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
 def test_cameras_are_those_written(source, tmp_path, model, binary):
     found = read_colmap(write_colmap(source, tmp_path / "model", binary=binary, model=model))
@@ -67,34 +65,23 @@ def test_counts_beyond_the_file_are_refused_within_a_second(source, tmp_path, na
     assert time.process_time() - began < 1
 
 
-BAD = {
-    "1 FOV 64 48 50 50 32 24 .9": r"camera 1: camera model should be one of SIMPLE_PINHOLE, .* is FOV",
-    "1 PINHOLE 64 48 50 50 32": r"camera 1: PINHOLE has 4 parameters, found 3",
-    "1 PINHOLE 64 48 50 nan 32 24": r"camera 1: K should be finite",
-    "1 PINHOLE wide 48 50 50 32 24": r"expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, found",
-    "2 PINHOLE 64 48 50 50 32 24": r"image a\.png: no camera 1",
-}
+CAMERA, IMAGE = "1 PINHOLE 64 48 50 50 32 24", "1 1 0 0 0 0 0 0 1 a.png"
+BAD = [
+    ("1 FOV 64 48 50 50 32 24 .9", IMAGE, r"camera 1: camera model should be one of SIMPLE_PINHOLE, .* is FOV"),
+    ("1 PINHOLE 64 48 50 50 32", IMAGE, r"camera 1: PINHOLE has 4 parameters, found 3"),
+    ("1 PINHOLE 64 48 50 nan 32 24", IMAGE, r"camera 1: K should be finite"),
+    ("1 PINHOLE wide 48 50 50 32 24", IMAGE, r"expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, found"),
+    ("2 PINHOLE 64 48 50 50 32 24", IMAGE, r"image a\.png: no camera 1"),
+    (CAMERA, "1 2 0 0 0 0 0 0 1 a.png", r"image a\.png: the quaternion should have length 1, has 2"),
+    (CAMERA, "1 1 0 0 0 0 0 inf 1 a.png", r"image a\.png: camera_from_world should be finite"),
+    (CAMERA, "1 1 0 0 0 0 0 0 1", r"expected IMAGE_ID"),
+    (CAMERA, f"{IMAGE}\n\n2{IMAGE[1:]}", r"image a\.png: is there twice"),
+]
 
 
-@pytest.mark.parametrize("line", BAD)
-def test_cameras_that_are_none_are_refused_by_name(tmp_path, line):
-    (tmp_path / "cameras.txt").write_text(line)
-    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.png\n\n")
-    with pytest.raises(AssetError, match=BAD[line]):
-        read_colmap(tmp_path)
-
-
-@pytest.mark.parametrize(
-    "line, message",
-    [
-        ("1 2 0 0 0 0 0 0 1 a.png", r"image a\.png: the quaternion should have length 1, has 2"),
-        ("1 1 0 0 0 0 0 inf 1 a.png", r"image a\.png: camera_from_world should be finite"),
-        ("1 1 0 0 0 0 0 0 1", r"expected IMAGE_ID"),
-        ("1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 0 0 0 1 a.png", r"image a\.png: is there twice"),
-    ],
-)
-def test_images_that_have_no_pose_are_refused(tmp_path, line, message):
-    (tmp_path / "cameras.txt").write_text("1 PINHOLE 64 48 50 50 32 24")
-    (tmp_path / "images.txt").write_text(line + "\n\n")
+@pytest.mark.parametrize("camera, image, message", BAD)
+def test_cameras_and_images_that_are_none_are_refused_by_name(tmp_path, camera, image, message):
+    (tmp_path / "cameras.txt").write_text(camera)
+    (tmp_path / "images.txt").write_text(image + "\n\n")
     with pytest.raises(AssetError, match=message):
         read_colmap(tmp_path)

@@ -1,4 +1,4 @@
-"""`selfscan import` as it is typed: both kinds, one line for bad input."""
+"""`selfscan import` as it is typed: both kinds."""
 
 from foreign_layouts import assert_same_capture
 
@@ -18,9 +18,3 @@ def test_own_videos_are_imported_by_the_command(own, source, model, tmp_path, ca
     assert main(words) == 0
     assert "body: 2 of 3 frames, 000501 to 000502" in capsys.readouterr().out
     assert not (tmp_path / "out/body/images/000002.png").exists()
-
-
-def test_bad_input_is_one_line(tmp_path, capsys):
-    assert main(["import", "totalselfscan", str(tmp_path), str(tmp_path / "out")]) == 1
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "expected four videos" in error

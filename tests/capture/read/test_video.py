@@ -25,26 +25,23 @@ def given(folder, **changed):
     return VideoImport(paths, folder / "keypoints", **({"frames": 8} | changed))
 
 
+TEMPLATE = body_template(builtin_body("male"))
+PLACES = landmark_vertices(TEMPLATE.vertices, TEMPLATE.part == 1)
+LANDMARKS = {name: (TEMPLATE.vertices[v], v) for name, v in PLACES.items()}
+
+
+def before(part, size, fov, count=1, left_out=()):
+    """The T-pose before a camera that looks at the part, in so many frames."""
+    middle = TEMPLATE.vertices[TEMPLATE.part == PARTS.index(part)].mean(0) if part != "body" else np.zeros(3)
+    camera = Camera(pinhole(size, fov), look_at(middle + [0, 0, 3.0 if part == "body" else 0.6], middle), size)
+    poses = (None, None) if part == "head" else (np.zeros((count, 52, 3)), np.zeros((count, 3)))
+    return FittedVideo((camera,) * count, *poses, ~np.isin(np.arange(count), left_out))
+
+
 def stand_in(scan, work, left_out=()):
     """A template and cameras of the right kind."""
-    template = body_template(builtin_body("male"))
-    videos = {}
-    for part, raw in scan.videos.items():
-        count = len(raw.frames)
-        middle = template.vertices[template.part == PARTS.index(part)].mean(0) if part != "body" else np.zeros(3)
-        eye = middle + [0, 0, 3.0 if part == "body" else 0.6]
-        camera = Camera(pinhole(raw.size, 0.6), look_at(eye, middle), raw.size)
-        posed = part != "head"
-        usable = ~np.isin(np.arange(count), left_out)
-        videos[part] = FittedVideo(
-            (camera,) * count,
-            np.zeros((count, 52, 3)) if posed else None,
-            np.zeros((count, 3)) if posed else None,
-            usable,
-        )
-    places = landmark_vertices(template.vertices, template.part == 1)
-    landmarks = {name: (template.vertices[v], v) for name, v in places.items()}
-    return FittedScan(template, videos, landmarks, ("fitted by a stand-in",))
+    videos = {part: before(part, raw.size, 0.6, len(raw.frames), left_out) for part, raw in scan.videos.items()}
+    return FittedScan(TEMPLATE, videos, LANDMARKS, ("fitted by a stand-in",))
 
 
 def test_a_capture_is_written_whole_with_soft_rims_and_its_origin(filmed_four, tmp_path):
@@ -64,18 +61,12 @@ def test_a_capture_is_written_whole_with_soft_rims_and_its_origin(filmed_four, t
 
 @pytest.mark.parametrize("part", PARTS[1:])
 def test_the_rest_of_the_person_is_unknown_in_a_close_up(part):
-    template = body_template(builtin_body("male"))
-    members = template.vertices[template.part == PARTS.index(part)]
-    middle = members.mean(0)
-    camera = Camera(pinhole((120, 90), 0.9), look_at(middle + [0, 0, 0.6], middle), (120, 90))
-    posed = part != "head"
-    poses, root = (np.zeros((1, 52, 3)), np.zeros((1, 3))) if posed else (None, None)
-    fit = FittedVideo((camera,), poses, root, np.ones(1, bool))
-    places = landmark_vertices(template.vertices, template.part == 1)
-    close_up = PartMasks(template, part, {name: (template.vertices[v], v) for name, v in places.items()})
+    members = TEMPLATE.vertices[TEMPLATE.part == PARTS.index(part)]
+    fit = before(part, (120, 90), 0.9)
+    camera = fit.cameras[0]
     mask = np.full((90, 120), 255, np.uint8)
     mask[:, :20] = 0
-    found = close_up.mask(mask, camera, fit, 0)
+    found = PartMasks(TEMPLATE, part, LANDMARKS).mask(mask, camera, fit, 0)
     assert (found[:, :20] == 0).all()
     pixels, _ = project(camera, members)
     x, y = np.floor(pixels).astype(int).T

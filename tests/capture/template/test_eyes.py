@@ -11,6 +11,8 @@ from capture.folder import read_subject, write_subject
 from capture.template.eyes import body_sockets, eye_openings, eye_spheres, fit_sphere
 from command.errors import AssetError
 
+STATED = np.array([[0.03, 0.65, 0.12, 0.016], [-0.03, 0.65, 0.12, 0.015]])
+
 
 @pytest.fixture(scope="module")
 def subject():
@@ -23,14 +25,11 @@ def spheres_of(subject):
     return spheres
 
 
-def test_a_sphere_is_found_from_a_cap_of_it():
+def test_a_sphere_is_found_from_a_cap_of_it_and_points_of_a_plane_are_none():
     cap = fibonacci_sphere(2000)
     cap = cap[cap[:, 2] > 0.7]
     centre, radius = fit_sphere([1.0, 2.0, 3.0] + 0.012 * cap)
     assert np.abs(centre - [1, 2, 3]).max() < 1e-9 and abs(radius - 0.012) < 1e-9  # 64-bit least squares
-
-
-def test_points_of_a_plane_are_no_sphere():
     with pytest.raises(ValueError, match="not in a plane"):
         fit_sphere(np.random.default_rng(0).random((50, 3)) * [1, 1, 0])
 
@@ -46,11 +45,10 @@ def test_the_free_body_has_eyeballs_under_its_lids(subject):
 
 
 def test_stated_eyeballs_are_taken_and_follow_the_head_bone(subject):
-    stated = np.array([[0.03, 0.65, 0.12, 0.016], [-0.03, 0.65, 0.12, 0.015]])
-    spheres = spheres_of(replace(subject, eyes=stated))
-    assert np.array_equal(spheres.radii, [0.016, 0.015])
+    spheres = spheres_of(replace(subject, eyes=STATED))
+    assert np.array_equal(spheres.radii, STATED[:, 3])
     # the big pose turns only the hips
-    assert np.abs(spheres.centres - stated[:, :3]).max() < 1e-9
+    assert np.abs(spheres.centres - STATED[:, :3]).max() < 1e-9
 
 
 def test_another_body_without_stated_eyeballs_has_none(subject):
@@ -71,17 +69,10 @@ def test_the_opening_is_what_the_lids_leave_free(subject):
         assert (np.ptp(points[:, :2], axis=0) > 0.7 * (high - low)[:2]).all()
 
 
-def test_stated_eyeballs_survive_the_file_and_files_without_them_are_read(tmp_path, subject):
-    stated = np.array([[0.03, 0.65, 0.12, 0.016], [-0.03, 0.65, 0.12, 0.015]])
-    write_subject(tmp_path / "with.npz", replace(subject, eyes=stated))
-    write_subject(tmp_path / "without.npz", subject)
-    eyes = read_subject(tmp_path / "with.npz").eyes
-    assert eyes is not None and np.array_equal(eyes, stated)
-    assert read_subject(tmp_path / "without.npz").eyes is None
-
-
-def test_an_eyeball_outside_the_person_is_refused(tmp_path, subject):
-    stated = np.array([[0.03, 6.5, 0.12, 0.016], [-0.03, 0.65, 0.12, 0.015]])
-    write_subject(tmp_path / "subject.npz", replace(subject, eyes=stated))
+def test_stated_eyeballs_survive_the_file_and_one_outside_the_person_is_refused(tmp_path, subject):
+    for eyes in (STATED, None):
+        write_subject(tmp_path / "subject.npz", replace(subject, eyes=eyes))
+        np.testing.assert_array_equal(read_subject(tmp_path / "subject.npz").eyes, eyes)
+    write_subject(tmp_path / "subject.npz", replace(subject, eyes=STATED * [[1, 10, 1, 1], [1, 1, 1, 1]]))
     with pytest.raises(AssetError, match=r"eyes should hold a centre within the template.*left"):
         read_subject(tmp_path / "subject.npz")
