@@ -41,7 +41,7 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
     Raises:
         AssetError: the subject cannot be read, or the folder not be written.
     """
-    config = with_defaults(config, size=256, light="even")
+    config = replace(config, size=config.size or 256, light=config.light or "even")
     assert config.size is not None and config.light is not None
     check_folder(out)
     person = _person(subject)
@@ -80,7 +80,7 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
     Raises:
         AssetError: the subject cannot be read, or the folder not be written.
     """
-    config = with_defaults(config, size=1080, light="room")
+    config = replace(config, size=config.size or 1080, light=config.light or "room")
     assert config.size is not None and config.light is not None
     check_folder(out)
     person = _person(subject)
@@ -98,11 +98,6 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
         width, height = shots.camera.size
         print(f"{FILES[part]}: {plural(len(shots.root), 'frame')} of {width} x {height} px")
     return facts
-
-
-def with_defaults(config: SynthConfig, *, size: int, light: str) -> SynthConfig:
-    """The settings with what was left open filled in."""
-    return replace(config, size=config.size or size, light=config.light or light)
 
 
 def _person(name: str) -> SynthSubject:

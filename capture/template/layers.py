@@ -217,14 +217,11 @@ def skin_moved(
     offset = OFFSETS[step] + (OFFSETS[1] - OFFSETS[0]) * np.clip(-a / np.maximum(b - a, 1e-9), 0, 1)
     above = points[open_, 1] > rigid_height(skin, skin.faces)
     found &= ~above | (np.abs(offset) < SKIN)
-    known = np.zeros(len(skin.vertices), bool)
-    values_all = np.zeros((len(skin.vertices), 1))
+    known, offsets = ~used, np.zeros((len(used), 1))  # farther away nothing is asked
     known[index[open_[found]]] = True
-    values_all[index[open_[found]], 0] = offset[found]
-    known[~used] = True  # farther away nothing is asked
-    values_all = fill_reached(values_all, known, skin.faces)
+    offsets[index[open_[found]], 0] = offset[found]
     out = skin.vertices.copy()
-    out[index] += values_all[index] * normals
+    out[index] += fill_reached(offsets, known, skin.faces)[index] * normals
     return out
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 from PIL import Image
 
-from avatar.camera import Camera, project
+from avatar.camera import project
 from avatar.skeleton import PARTS
 from command.progress import progress
 from player.film.encoder import X264, encode
@@ -90,32 +90,21 @@ def taken(
     lit: VertexLight | None,
 ) -> tuple[Float[Array, "height width 3"], UInt8[Array, "height width"]]:
     """The person in the room, and the person's mask (0 to 255)."""
-    root = shots.root[i]
-    picture = behind.with_shadow(root[0], root[2])
-    width, height = shots.camera.size
-    coverage = np.zeros((height, width), np.uint8)
-    box = _window(shots.camera, vertices)
-    if box is None:
-        return picture, coverage
-    x0, y0, x1, y1 = box
-    camera = shots.camera.cropped(x0, y0, (x1 - x0, y1 - y0))
-    exposed = studio.expose(vertices, camera, light, lit)
-    share = exposed.coverage[..., None]
-    picture[y0:y1, x0:x1] = exposed.color + (1 - share) * picture[y0:y1, x0:x1]
-    coverage[y0:y1, x0:x1] = np.round(255 * exposed.coverage)
-    return picture, coverage
-
-
-def _window(camera: Camera, vertices: Float[Array, "vertices 3"]) -> tuple[int, int, int, int] | None:
-    """The pixels that hold the person: left, top, right, bottom; None: none."""
-    pixels, depth = project(camera, vertices)
-    if not (depth > 0).any():
-        return None
+    size = shots.camera.size
+    picture = behind.with_shadow(shots.root[i, 0], shots.root[i, 2])
+    coverage = np.zeros(size[::-1], np.uint8)
+    pixels, depth = project(shots.camera, vertices)
     pixels = pixels[depth > 0]
-    # what comes close to the lens is somewhere far off the picture
-    low = np.clip(np.floor(pixels.min(0)) - 1, 0, camera.size).astype(int)
-    high = np.clip(np.ceil(pixels.max(0)) + 1, 0, camera.size).astype(int)
-    return None if (high <= low).any() else (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+    # the pixels that hold the person; what comes close to the lens is somewhere far off the picture
+    low = np.clip(np.floor(pixels.min(0, initial=np.inf)) - 1, 0, size).astype(int)
+    high = np.clip(np.ceil(pixels.max(0, initial=-np.inf)) + 1, 0, size).astype(int)
+    (left, top), (width, height) = low.tolist(), (high - low).tolist()
+    if min(width, height) > 0:
+        exposed = studio.expose(vertices, shots.camera.cropped(left, top, (width, height)), light, lit)
+        window = np.s_[top : top + height, left : left + width]
+        picture[window] = exposed.color + (1 - exposed.coverage[..., None]) * picture[window]
+        coverage[window] = np.round(255 * exposed.coverage)
+    return picture, coverage
 
 
 class _Lighting:
