@@ -59,7 +59,7 @@ def stages(out: Path) -> list[Stage]:
         Stage(
             "synthesise four videos",
             capture / "capture.json",
-            command("selfscan", "synth", "builtin", capture, "--sheen", str(SHEEN)),
+            command("selfscan", "synth", "builtin", capture, "--sheen", str(SHEEN), "--truth-every", "3"),
             0.7,
         ),
         Stage(

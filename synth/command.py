@@ -183,7 +183,8 @@ def _film(
 def _take_held_out(folder: Path, studio: Studio, config: SynthConfig, looks: DetectorOf | None = None) -> None:
     """The held-out pictures, in the light of the body video; keypoints where a detector is."""
     light = light_of(config.light or "even", "body", config.seed)
-    sets = {"novel_pose": novel_poses(config.seed), "novel_view": novel_views(config.seed)}
+    every, seed = config.truth_every, config.seed
+    sets = {"novel_pose": novel_poses(seed)[::every], "novel_view": novel_views(seed)[::every]}
     finer = Studio(studio.rasteriser, studio.subject, supersample=2)
     for number, (name, stands) in enumerate(sets.items(), 1):
         seed = 100_000 * number + config.seed

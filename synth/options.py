@@ -30,6 +30,8 @@ class SynthConfig:
         "registered: the free body laid onto the person's surface, with the person's joints and hair; shape: its shape "
         "coefficients alone, with the joints that they have"] = "registered"
     truth: Annotated[bool, Option(("--no-truth",)), "leave out held-out pictures and the subject's mesh"] = True
+    truth_every: Annotated[int, AtLeast(1), AtMost(10), Option(metavar="N"),
+        "of the 20 held-out poses and 10 views film only every N-th"] = 1
 
 
 @settings
@@ -80,9 +82,7 @@ def main(argv: Sequence[str]) -> int:
     began = time.monotonic()
     if command.raw.raw:
         synth_raw(command.subject, command.out, command.config, command.raw)
-        print(f"{command.out}: four videos in {time.monotonic() - began:.0f} s")
-        return 0
-    synth(command.subject, command.out, command.config)
-    count = 4 * command.config.frames + (120 if command.config.truth else 0)
-    print(f"{command.out}: {count} pictures in {time.monotonic() - began:.0f} s")
+    else:
+        synth(command.subject, command.out, command.config)
+    print(f"{command.out}: four videos in {time.monotonic() - began:.0f} s")
     return 0

@@ -208,7 +208,12 @@ def part_untrained(job: PartJob, capture: Capture, prepared: Callable[[float], N
     field.light = None if job.light is None else job.light.tensors(device)
     filmed = FilmedPart(part, video, subject, cloud, job.canonical_from_head if name == "head" else None)
     generator = np.random.default_rng([job.seed, job.index])
-    rays = part_rays(filmed, ray_settings(settings, job.preset), generator, prepared)
+    chosen = ray_settings(settings, job.preset)
+    # no more of a frame than its share of what the steps ask for; body's serve stage 2 and Eq. 8 as well
+    asked = max(job.preset.rays * settings.iterations // len(video.images), 1000)
+    if name != "body":
+        chosen = replace(chosen, per_frame=min(chosen.per_frame, asked))
+    rays = part_rays(filmed, chosen, generator, prepared)
     return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost, job_preview(job, filmed))
 
 

@@ -158,7 +158,7 @@ _DEMO_HEAD = replace(
 )
 # rays between fingers may follow the wrong one: few of them lie beside the person, or they carve the fingers' sides
 _DEMO_HAND = PartPreset(
-    iterations=1000,
+    iterations=200,
     cell=0.002,
     spacing=0.002,
     band=Band(outside=0.012, inside=0.008, step=0.0025),

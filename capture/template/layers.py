@@ -185,7 +185,7 @@ def signed_grid(person: CaptureSubject, low: Float[Array, "3"], high: Float[Arra
     # exactly four cells off is far: the distance there is that of cells
     far = np.argwhere(np.abs(values) > 3.99 * CELL)
     points = low + CELL * far
-    row = sample_grid(cloud, low - 0.5 * CELL, high + 0.5 * CELL, CELL).nearest(points)
+    row = sample_grid(cloud.points, low - 0.5 * CELL, high + 0.5 * CELL, CELL).nearest(points)
     side = ((points - cloud.points[row]) * cloud.normals[row]).sum(1)
     values[tuple(far.T)] = np.where(side < 0, -1, 1) * np.abs(values[tuple(far.T)])
     return DistanceGrid(values, grid.low, CELL)

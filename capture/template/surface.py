@@ -163,11 +163,13 @@ class SampleGrid:
         return np.where(inside, self.rows[tuple(index.T)], -1)
 
 
-def sample_grid(cloud: SurfaceCloud, low: Float[Array, "3"], high: Float[Array, "3"], cell: float) -> SampleGrid:
+def sample_grid(
+    points: Float[Array, "samples 3"], low: Float[Array, "3"], high: Float[Array, "3"], cell: float
+) -> SampleGrid:
     """Nearest samples on a grid over a box, by the feature transform of the occupied cells."""
     shape = tuple(np.ceil((high - low) / cell).astype(int) + 1)
     rows = np.full(shape, -1)
-    index = np.floor((cloud.points - low) / cell).astype(int)
+    index = np.floor((points - low) / cell).astype(int)
     inside = np.flatnonzero(((index >= 0) & (index < shape)).all(1))
     rows[tuple(index[inside].T)] = inside
     return SampleGrid(rows[nearest_marked(rows >= 0)].astype(np.int32), low, cell)

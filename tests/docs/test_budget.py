@@ -12,15 +12,15 @@ BUDGET = {
     "command": 1_130,
     "avatar": 8_426,
     "geometry": 1_719,
-    "capture": 11_732,
-    "train": 5_787,
+    "capture": 11_734,
+    "train": 5_830,
     "bake": 4_469,
     "player": 18_673,
     "shaders": 1_036,
-    "synth": 2_687,
+    "synth": 2_688,
     "bench": 5_852,
     "selfscan": 412,
-    "tests": 35_650,
+    "tests": 35_651,
 }
 
 

@@ -14,20 +14,21 @@ from capture.template.parts import Box
 from capture.template.surface import surface_cloud
 from train.deform import canonical_directions
 from train.objective import Batch, losses, ray_tensors
-from train.rays import Band, Samples, march
+from train.rays import Band, Samples, StillSamples, march
 from train.trainer import FieldTraining, train_field
 
 BAND = Band(0.03, 0.02, 0.005)
 RADIUS = 0.1
 
 
-@pytest.fixture(scope="module")
-def ball():
-    """Points 3 mm apart on a sphere, with normals and spacing."""
+@pytest.fixture(scope="module", params=["tree", "look-up"])
+def ball(request):
+    """Points 3 mm apart on a sphere, with normals and spacing; the nearest is sought, or looked up."""
     i = np.arange(12000) + 0.5
     polar, turn = np.arccos(1 - 2 * i / len(i)), np.pi * (1 + 5**0.5) * i
     d = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], 1)
-    return Samples(RADIUS * d, d, np.full(len(d), 0.004))
+    still = StillSamples.of(RADIUS * d, 0.003) if request.param == "look-up" else None
+    return Samples(RADIUS * d, d, np.full(len(d), 0.004), still)
 
 
 def _march(ball, origin, direction):
