@@ -1,7 +1,10 @@
-"""What no video saw takes the color of what it is made of: filled on the surface from seen places of the same material.
+"""What no video saw is filled from what was seen: cloth round its limb, the rest with the color of its material.
 
-Seen texels are grouped by color into materials: skin, hair, each color of a cloth. A material's color anywhere is as
-smooth on the surface as its seen texels allow:
+Stripes, cuffs, hems and collars run round trunk, arms and legs: there an unseen texel shows the mean of the nearest
+seen places of its piece that face its way, where lengths along the limb count STRETCH times.
+
+Elsewhere (head, hands, feet) seen texels are grouped by color into materials: skin, hair, each color of a cloth. A
+material's color anywhere is as smooth on the surface as its seen texels allow:
 
     min over x of material m   sum_vertices w_m (x - c_m)^2  +  sum_edges k_ij (x_i - x_j)^2
 
@@ -13,6 +16,7 @@ color: a grey between two colors of a print is no color of the cloth. So skin be
 stripes.
 """
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +36,9 @@ MATERIALS, APART = 8, 0.07
 VOTES, CELL, ENOUGH, FACING = 24, 0.0025, 0.15, 0.0
 # a number for each cell within a kilometre and eighth of all directions
 CELL_KEY = np.array([1 << 42, 1 << 23, 1 << 4, 1, 2, 4])
+# seen places whose mean an unseen texel round a limb shows, how many times a length along the limb counts, metres at
+# which a place counts half as much as one at the texel
+ROUND, STRETCH, SOFT = 10, 5.0, 0.002
 # how far from its materials' colors an unseen texel's may be
 NEAR = 6 / 255
 # stiffness of an edge against all the seen surface round a vertex
@@ -48,6 +55,8 @@ class TexelSurface(NamedTuple):
     normals: Float[Array, "texels 3"]
     area: Float[Array, "texels"]
     piece: Integer[Array, "texels"]  # the connected piece of the surface
+    limb: Integer[Array, "texels"]  # row of `axes`
+    axes: Float[Array, "limbs 3"]  # unit, along each limb; zero: none, NaN: no limb, it is filled by material
 
 
 def filled_colors(
@@ -57,9 +66,52 @@ def filled_colors(
     unseen = np.flatnonzero(~seen)
     if len(unseen) == 0 or len(unseen) == len(seen):
         return color[unseen]
+    of_limb = np.isfinite(surface.axes[surface.limb[unseen], 0])
+    result = np.empty((len(unseen), 3), color.dtype)
+    result[of_limb] = round_limbs(surface, color, seen, unseen[of_limb])
+    result[~of_limb] = by_material(surface, color, seen, unseen[~of_limb])
+    return result
+
+
+def round_limbs(
+    surface: TexelSurface, color: Float[Array, "texels 3"], seen: Bool[Array, "texels"], rows: Integer[Array, "rows"]
+) -> Float[Array, "rows 3"]:
+    """Colors for texels of limbs: what lies beside them round the limb."""
+    result = color[rows].copy()
+    places = {int(piece): seen_places(surface, seen, int(piece)) for piece in np.unique(surface.piece[rows])}
+    for piece, limb in product(places, np.unique(surface.limb[rows])):
+        own = (surface.piece[rows] == piece) & (surface.limb[rows] == limb)
+        asked, given = rows[own], places[piece]
+        stretch = np.eye(3) + (STRETCH - 1) * np.outer(surface.axes[limb], surface.axes[limb])
+        count = min(ROUND, len(given))
+        away, near = KDTree(surface.points[given] @ stretch).query(surface.points[asked] @ stretch, count, workers=-1)
+        near = given[near.reshape(len(asked), count)]
+        facing = np.einsum("nkc,nc->nk", surface.normals[near], surface.normals[asked]) > FACING
+        weight = (facing + 1e-3) / (np.square(away.reshape(near.shape)) + SOFT**2)
+        result[own] = np.einsum("nk,nkc->nc", weight / weight.sum(1, keepdims=True), color[near])
+    return result
+
+
+def seen_places(surface: TexelSurface, seen: Bool[Array, "texels"], piece: int) -> Integer[Array, "places"]:
+    """Seen texels of a piece, one in each CELL; of all pieces where none was seen of it."""
+    own = seen & (surface.piece == piece)
+    given = np.flatnonzero(own if own.any() else seen)
+    return given[np.unique(cells(surface, given), return_index=True)[1]]
+
+
+def cells(surface: TexelSurface, rows: Integer[Array, "rows"]) -> Integer[Array, "rows"]:
+    """A number for the cell in which each texel lies together with the eighth of all directions that it faces."""
+    cell = np.concatenate([np.floor(surface.points[rows] / CELL), surface.normals[rows] > 0], 1)
+    return cell.astype(np.int64) @ CELL_KEY
+
+
+def by_material(
+    surface: TexelSurface, color: Float[Array, "texels 3"], seen: Bool[Array, "texels"], unseen: Integer[Array, "rows"]
+) -> Float[Array, "rows 3"]:
+    """Colors for texels of what they are made of."""
     centres = material_centres(color[seen])
     material = np.argmin([np.square(color - centre).sum(1) for centre in centres], axis=0)
-    share = material_shares(surface, material, seen, len(centres))
+    share = material_shares(surface, material, seen, unseen, len(centres))
     least, nearest = np.full(len(unseen), np.inf), color[unseen].copy()
     stiffness = _stiffness(surface.mesh)
     for number in np.flatnonzero((share >= ENOUGH).any(0)):
@@ -95,19 +147,17 @@ def material_centres(color: Float[Array, "n 3"]) -> Float[Array, "materials 3"]:
 
 
 def material_shares(
-    surface: TexelSurface, material: Integer[Array, "texels"], seen: Bool[Array, "texels"], count: int
-) -> Float[Array, "unseen materials"]:
+    surface: TexelSurface, material: Integer[Array, "texels"], seen: Bool[Array, "texels"],
+    unseen: Integer[Array, "unseen"], count: int,
+) -> Float[Array, "unseen materials"]:  # fmt: skip
     """Of each unseen texel, how the nearest seen places of its piece that face its way are divided among the materials;
     the largest share is made 1, so that one is always enough. Pieces without a seen place are asked of all."""
-    share = np.zeros((int((~seen).sum()), count))
-    apart = surface.piece[~seen]
+    share = np.zeros((len(unseen), count))
+    apart = surface.piece[unseen]
     for piece in np.unique(apart):
-        own = surface.piece == piece
-        given = np.flatnonzero(seen & own if (seen & own).any() else seen)
-        asked = np.flatnonzero(~seen & own)
-        # one for all texels of a cell that face the same eighth of all directions
-        cell = np.concatenate([np.floor(surface.points[asked] / CELL), surface.normals[asked] > 0], 1)
-        _, first, same = np.unique(cell.astype(np.int64) @ CELL_KEY, return_index=True, return_inverse=True)
+        given, asked = seen_places(surface, seen, int(piece)), unseen[apart == piece]
+        # one for all texels of a cell
+        _, first, same = np.unique(cells(surface, asked), return_index=True, return_inverse=True)
         share[apart == piece] = _piece_shares(surface, material, asked[first], given, count)[same]
     return share
 
@@ -119,12 +169,6 @@ def _piece_shares(
     given: Integer[Array, "given"],
     count: int,
 ) -> Float[Array, "unseen materials"]:
-    # only seen texels near unseen ones can be the nearest
-    away, _ = KDTree(surface.points[unseen]).query(surface.points[given], distance_upper_bound=0.03, workers=-1)
-    near = given[np.isfinite(away)]
-    given = near if len(near) >= VOTES else given
-    _, first = np.unique(np.floor(surface.points[given] / CELL).astype(np.int64), axis=0, return_index=True)
-    given = given[first]
     votes = min(VOTES, len(given))
     _, near = KDTree(surface.points[given]).query(surface.points[unseen], k=votes, workers=-1)
     near = given[near.reshape(len(unseen), votes)]

@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix
 
 from avatar.camera import Camera
 from avatar.rotation import unit_or_zero
-from avatar.skeleton import PARTS
+from avatar.skeleton import BIG_POSE, JOINTS, PARTS, joint_transforms
 from bake.cores import on_all_cores
 from bake.level import BakedLevel, PlacesOnFinest, rounded, with_picture
 from bake.promises import Facts
@@ -63,6 +63,12 @@ AGREE = 1.0
 # their mean squared cosine: at grazing angles a frame shows the colors of a print as one grey
 UNSEEN, SEEN = 0.3, 1.0
 GRAZING, FACING = 0.1, 0.3
+# round what print runs, from joint to joint
+LIMBS = (
+    ("pelvis", "spine1", "spine2", "spine3", "neck", "head"),
+    *((f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist") for side in ("left", "right")),
+    *((f"{side}_hip", f"{side}_knee", f"{side}_ankle") for side in ("left", "right")),
+)
 
 
 class VideoTexture(NamedTuple):
@@ -299,5 +305,16 @@ def texel_surface(mesh: AtlasMesh, texel: Float[Array, "texels"]) -> TexelSurfac
     facing = unit_or_zero(blended(mesh.normals, corners, weight))
     return TexelSurface(
         TriangleMesh(welded, faces), faces[mesh.texels.face], weight, blended(mesh.positions, corners, weight), facing,
-        np.square(texel), mesh.piece[mesh.texels.face],
+        np.square(texel), mesh.piece[mesh.texels.face], mesh.share.argmax(1)[corners[:, 0]], limb_axes(mesh.joints),
     )  # fmt: skip
+
+
+def limb_axes(joints: Float[Array, "52 3"]) -> Float[Array, "52 3"]:
+    """Unit directions of trunk, arms and legs from joint to joint in the canonical pose; NaN for other joints."""
+    canonical = joint_transforms(np.asarray(BIG_POSE, np.float64), joints, np.zeros(3))[:, :3, 3]
+    axes = np.full((len(JOINTS), 3), np.nan)
+    axes[[JOINTS.index("left_collar"), JOINTS.index("right_collar")]] = 0
+    for chain in LIMBS:
+        along = np.array([JOINTS.index(name) for name in chain])
+        axes[along[:-1]] = unit_or_zero(np.diff(canonical[along], axis=0))
+    return axes

@@ -243,8 +243,8 @@ def sheet(width):
     return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
 
 
-def flat_surface(points):
-    """Sheets as meshes, one piece each, whose vertices are the texels as well, facing +z."""
+def flat_surface(points, axis=np.nan):
+    """Sheets as meshes, one piece each, whose vertices are the texels as well, facing +z, of a limb along `axis`."""
     shape = (41, round(400 * np.ptp(points[:, 0])) + 1)
     index = np.arange(len(points)).reshape(-1, *shape)
     a, b, c, d = index[:, :-1, :-1], index[:, :-1, 1:], index[:, 1:, 1:], index[:, 1:, :-1]
@@ -253,6 +253,7 @@ def flat_surface(points):
     return TexelSurface(
         TriangleMesh(points, faces), np.stack([np.arange(count)] * 3, 1), np.tile([1.0, 0, 0], (count, 1)), points,
         np.tile([0, 0, 1.0], (count, 1)), np.full(count, 6e-6), np.repeat(np.arange(len(index)), index[0].size),
+        np.zeros(count, int), np.full((1, 3), axis),
     )  # fmt: skip
 
 
@@ -284,6 +285,18 @@ def test_unseen_cloth_of_two_colors_is_one_of_them_and_nothing_between():
     off = np.minimum(np.abs(found - 0.9), np.abs(found - 0.1))
     assert off.max() < 2 * NEAR
     assert (np.abs(found - truth[~seen]).max(1) < 2 * NEAR).mean() > 0.85
+
+
+def test_stripes_go_on_round_a_limb_whatever_the_field_dreamt():
+    """An unseen strip along a sleeve with stripes of 1.5 cm round it."""
+    points = sheet(0.2)
+    truth = np.where(np.floor(points[:, [0]] / 0.015).astype(int) % 2 == 0, 0.9, 0.1) * np.ones(3)
+    seen = np.abs(points[:, 1] - 0.05) > 0.02
+    found = filled_colors(flat_surface(points, [1.0, 0.0, 0.0]), np.where(seen[:, None], truth, 0.5), seen)
+    inside = np.abs((points[~seen, 0] / 0.015) % 1 - 0.5) < 0.25
+    np.testing.assert_allclose(found[inside], truth[~seen][inside], atol=0.05)
+    by_material = filled_colors(flat_surface(points), np.where(seen[:, None], truth, 0.5), seen)
+    assert (np.abs(by_material - truth[~seen])[inside].max(1) > 0.4).any()
 
 
 def test_skin_under_hair_is_filled_from_skin():
