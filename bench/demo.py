@@ -54,7 +54,7 @@ def stages(out: Path) -> list[Stage]:
     capture, run, avatar = out / "capture", out / "run", out / "avatar.glb"
     resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
     # without --run: volumes of the field take most of a minute a frame, and a true picture is at hand
-    measured = ["--capture", capture, "--frames", "1", "--rounds", "20"]
+    measured = ["--capture", capture, "--frames", "2", "--rounds", "20"]
     return [
         Stage(
             "synthesise four videos",
