@@ -10,7 +10,6 @@ from difflib import get_close_matches
 
 from command.errors import AssetError, missing_package
 from command.interrupt import StopRequest, prompt_stop
-from command.memory import give_back_freed_memory, keep_freed_memory
 from selfscan.streams import exit_code, guard_streams
 
 USAGE = """usage: selfscan COMMAND ...
@@ -42,27 +41,15 @@ judge it
 shows where an error arose. Try `selfscan render avatar.glb --motion counting -o film.mp4`.
 """
 COMMANDS = re.findall(r"^  ([a-z]+) ", USAGE, re.MULTILINE)
-PACKAGES = (
-    "files",
-    "command",
-    "avatar",
-    "geometry",
-    "capture",
-    "train",
-    "player",
-    "bake",
-    "shaders",
-    "synth",
-    "bench",
-    "experiments",
-)
+PACKAGES = ("files", "command", "avatar", "geometry", "capture", "train", "player", "bake", "shaders", "synth", "bench",
+            "experiments")
 # what a command needs beyond the base install
 EXTRAS = {
     "make": "bake", "synth": "bench", "import": "train", "check": "train", "train": "train",
     "bake": "bake", "eval": "bake,bench", "bench": "bake,bench", "inspect": "inspect",
 }  # fmt: skip
-# commands that hold decoded images, and those that work on large arrays
-DRAWING, LARGE = ("render", "play"), ("make", "import", "train", "bake", "eval")
+# commands that hold decoded images
+DRAWING = ("render", "play")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -184,9 +171,9 @@ def _dispatch(name: str, rest: list[str]) -> int:
             print(f"selfscan: no command {name!r}; {meant}`selfscan --help` lists all", file=sys.stderr)
             return 2
         if name in DRAWING:
+            from player.gl.memory import give_back_freed_memory
+
             give_back_freed_memory()
-        if name in LARGE:
-            keep_freed_memory()
         # a command imports what it needs once its arguments are read
         return run(rest)
     except ModuleNotFoundError as error:

@@ -38,19 +38,14 @@ play` shows the first while the second is made. Stopped, the same command goes o
 class MakeCommand:
     """`selfscan make`."""
 
-    films: Annotated[
-        tuple[Path, ...],
-        Option(positional=True, metavar="FILMS", several=True),
+    films: Annotated[tuple[Path, ...], Option(positional=True, metavar="FILMS", several=True),
         "body, head, left and right hand, in this order, the body alone, or a folder with body.mp4 and any of "
-        "head.mp4, left.mp4 and right.mp4",
-    ]
+        "head.mp4, left.mp4 and right.mp4"]
     out: Annotated[Path, Option(("-o", "--out"), "NAME.glb"), "avatar file, replaced whole by each better one"]
     reading: Annotated[FilmOptions, "how the films are read"]
-    minutes: Annotated[
-        Literal["4", "15", "60"],
+    minutes: Annotated[Literal["4", "15", "60"],
         "of two quiet cores after the films are read: 4, the fitted template in the films' colors; 15, fields of "
-        f"{SHORT} steps a part as well; 60, the whole training",
-    ] = "15"
+        f"{SHORT} steps a part as well; 60, the whole training"] = "15"
 
     def __post_init__(self):
         if self.out.suffix.lower() != ".glb":

@@ -92,6 +92,18 @@ class Samples(NamedTuple):
     gap: Float[Array, "s"]  # as SurfaceCloud.gap
     still: StillSamples | None = None
 
+    def finder(self, reach: float) -> Callable[[Float[Array, "n 3"]], tuple[Float[Array, "n"], Int[Array, "n"]]]:
+        """What finds the distance to the nearest sample and its number; beyond `reach` (metres) neither counts."""
+        if self.still is not None:
+            return self.still.nearest
+        tree, cores = KDTree(self.points), torch.get_num_threads()
+
+        def nearest(points: Array) -> tuple[Array, Array]:
+            length, sample = tree.query(points, distance_upper_bound=reach, workers=cores)
+            return np.asarray(length), np.asarray(sample)
+
+        return nearest
+
 
 def march(
     origins: Float[Array, "n 3"],
@@ -125,8 +137,7 @@ def march(
     margin = float(thin_tree.query(cloud_points[::7])[0].max()) * 1.05
     found: list[tuple[Array, ...]] = []
     reach = 3 * band.outside
-    still = template.still
-    tree = None if still is not None else KDTree(cloud_points)
+    nearest = template.finder(reach)
     waiting = active
     for _ in range(24):
         length, _ = thin_tree.query(origins[waiting] + t[waiting, None] * directions[waiting])
@@ -140,11 +151,7 @@ def march(
         if len(active) == 0:
             break
         points = origins[active] + t[active, None] * directions[active]
-        if still is not None:
-            length, sample = still.nearest(points)
-        else:
-            assert tree is not None
-            length, sample = tree.query(points, distance_upper_bound=reach, workers=torch.get_num_threads())
+        length, sample = nearest(points)
         length, sample = np.minimum(length, reach), np.minimum(sample, len(cloud_points) - 1)
         distance = signed(points, length, cloud_points[sample], template.normals[sample], gap[sample])
         distance = np.where(length < reach, distance, reach)

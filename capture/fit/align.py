@@ -80,6 +80,13 @@ class _Scene(NamedTuple):
         return PARTS.index(self.video.part)
 
 
+class _Tolerance(NamedTuple):
+    """How far outlines are trusted, pixels."""
+
+    cut: float  # farther apart they weigh little
+    sigma: float  # standard deviation of one outline pixel
+
+
 class _DrawnTemplate(NamedTuple):
     """One frame's template: world, and drawn."""
 
@@ -133,21 +140,18 @@ def align(
         first, colored = number == 0, number >= settings.rounds - settings.colored
         views = [_view(scene, f, R[f], root[f], slide=first) for f in range(frames)]
         equations = NormalEquations(frames, params)
-        sigma_outline = settings.outline * scale
+        tolerance = _Tolerance(cut, settings.outline * scale)
         away: list[Array] = []
         corners: list[Array] = []
         for f, view in enumerate(views):
-            edge[f], r, corner = _add_outline(equations, scene, f, view, outlines[f], cut, sigma_outline, beyond)
+            edge[f], r, corner = _add_outline(equations, scene, f, view, outlines[f], tolerance, beyond)
             away.append(r)
             corners.append(corner)
         if cut < 15 * scale:
             beyond = cells.shared(np.concatenate(corners), np.concatenate(away), settings.pseudocount)
         if colored:
             _add_colors(equations, scene, views, settings.color)
-        # people move smoothly; jumps count less
-        a, rows = second_turns(R[:, moving])
-        weight = robust_weight((a**2).sum(2), np.radians(12.0)) / np.radians(settings.smooth) ** 2
-        equations.add_second_difference(3 + np.arange(params - 3).reshape(-1, 3), a, rows, weight)
+        _add_smoothness(equations, R[:, moving], settings.smooth)
         delta = axis_angle_from_matrix(np.swapaxes(given, -1, -2) @ R)[:, moving].reshape(frames, -1)
         equations.hold(np.arange(params), np.c_[root - video.root, delta], 1 / sigma**2)
         step, _ = equations.solve()
@@ -198,17 +202,16 @@ def _view(scene: _Scene, f: int, R: Array, root: Array, *, slide: bool) -> _Draw
 
 
 def _add_outline(
-    equations: NormalEquations, scene: _Scene, f: int, view: _DrawnTemplate, mask: Contour, cut: float, sigma: float,
+    equations: NormalEquations, scene: _Scene, f: int, view: _DrawnTemplate, mask: Contour, tolerance: _Tolerance,
     beyond: Float[Array, "vertices"],
 ) -> tuple[float, Float[Array, "n"], Int[Array, "n"]]:  # fmt: skip
     """Add the outline term of one frame, the person `beyond` (metres) the template's vertices.
 
-    Outlines farther apart than `cut` pixels weigh little; `sigma` is the standard deviation of one outline pixel.
-
     Returns the mean distance of the outlines near the part, how far outside (metres) the mask's pixels are, and the
     vertices that they belong to.
     """
-    template, camera, subject = view.outline, scene.video.cameras[f], scene.subject
+    template, camera, cut = view.outline, scene.video.cameras[f], tolerance.cut
+    subject = scene.subject
     if len(template.at) == 0 or len(mask.at) == 0:
         return np.inf, np.zeros(0), np.zeros(0, int)
     there, d_there = mask.nearest(*template, cut)
@@ -221,7 +224,7 @@ def _add_outline(
     length = np.r_[d_there, d_back]
     face, n = view.face[p], mask.normals[q]
     r = ((mask.at[q] - template.at[p] + view.slid[p]) * n).sum(1)
-    weight = robust_weight(length**2, cut) / sigma**2
+    weight = robust_weight(length**2, cut) / tolerance.sigma**2
     if view.slid.any():
         weight = weight * scene.near[face]
     # stands for the pixel: its derivative varies slowly over a face
@@ -297,12 +300,23 @@ def _add_colors(equations: NormalEquations, scene: _Scene, views: list[_DrawnTem
         if len(at) == 0:
             continue
         r = r - np.median(r, 0)  # exposure
-        # a head's many vertices know no more than its pixels do
-        _, of, count = np.unique(np.floor(pixels).astype(int), axis=0, return_inverse=True, return_counts=True)
-        weight = robust_weight((r**2).sum(1), sigma) / sigma**2 * (1 / count[of.ravel()])
+        weight = robust_weight((r**2).sum(1), sigma) / sigma**2 * _share_of_pixel(pixels)
         moves = pixel_rows(video.cameras[f], views[f].posed[at])[1]
         dy, dx = (bilinear(slope, pixels) for slope in np.gradient(image, axis=(0, 1)))
         for c in range(3):
             g = np.einsum("ni,nij->nj", np.stack([dx[:, c], dy[:, c]], 1), moves)
             rows = increment_rows(views[f].frame, subject.vertices[at], subject.skin.of(at), g, scene.moving)
             equations.add(f, rows, r[:, c], weight)
+
+
+def _share_of_pixel(pixels: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    """One over the number of points that share a pixel: a head's many vertices know no more than its pixels do."""
+    _, of, count = np.unique(np.floor(pixels).astype(int), axis=0, return_inverse=True, return_counts=True)
+    return 1 / count[of.ravel()]
+
+
+def _add_smoothness(equations: NormalEquations, R: Float[Array, "frames m 3 3"], degrees: float) -> None:
+    """Add the second differences of the moving joints' rotations, standard deviation `degrees`; jumps count less."""
+    a, rows = second_turns(R)
+    weight = robust_weight((a**2).sum(2), np.radians(12.0)) / np.radians(degrees) ** 2
+    equations.add_second_difference(3 + np.arange(3 * R.shape[1]).reshape(-1, 3), a, rows, weight)

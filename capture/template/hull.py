@@ -69,7 +69,7 @@ def mask_views(video: PartVideo, frames_from_canonical: Sequence[Float[Array, "4
     """A video's views of what moves by one rigid motion, or similarity, in each frame."""
     unsure = np.zeros_like(video.masks) if video.unsure is None else video.unsure
     cameras = map(moved_camera, video.cameras, frames_from_canonical)
-    return [MaskView(~mask & ~doubt, camera) for mask, doubt, camera in zip(video.masks, unsure, cameras, strict=True)]
+    return [MaskView(~(mask | edge), camera) for mask, edge, camera in zip(video.masks, unsure, cameras, strict=True)]
 
 
 def head_cameras(video: PartVideo, canonical_from_head: Float[Array, "4 4"]) -> list[Camera]:

@@ -1,8 +1,11 @@
 """Array files of others: numbers come back, objects are rebuilt by files/unpickle.py."""
 
+import os
+
 import numpy as np
 import pytest
 
+from command.errors import AssetError
 from files.npz import read_npy
 
 
@@ -38,3 +41,21 @@ def test_objects_come_as_the_list_of_what_they_hold(tmp_path):
     several[:] = [{"R": np.ones((1, 3))}, {"R": np.zeros((1, 3))}]
     found = read_npy(saved(tmp_path / "b.npy", several, allow_pickle=True), "records")
     assert [item["R"].sum() for item in found] == [3, 0]
+
+
+class Bomb:
+    def __init__(self, place):
+        self.place = place
+
+    def __reduce__(self):
+        return (os.mkdir, (self.place,))
+
+
+def test_code_in_an_array_is_not_run(tmp_path):
+    place = str(tmp_path / "executed")
+    path = saved(tmp_path / "a.npy", np.array({"cams": Bomb(place)}, object), allow_pickle=True)
+    with pytest.raises(
+        AssetError, match=r"a\.npy: expected cameras, found: .*the name '(posix|nt)\.mkdir'.*nothing was run"
+    ):
+        read_npy(path, "cameras")
+    assert not os.path.exists(place)

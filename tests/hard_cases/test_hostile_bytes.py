@@ -35,7 +35,7 @@ from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip
 from avatar.motion.read import read_motion
-from capture.read.colmap import Lens, _binary_images, _binary_lenses
+from capture.read.colmap import _binary_images, _binary_lenses
 from capture.read.landmarks import read_pixels
 from capture.read.opencv_yaml import read_opencv_yaml
 from command.errors import AssetError
@@ -160,7 +160,6 @@ LANDMARKS = {"pixels": {"nose_tip": {"a.png": [1, 2], "b.png": [3.5, 4]}}, "vert
 PERSON = [{"id": 0, "Rh": [[0.1, 0, 0]], "Th": [[0, 1, 0]], "poses": [[0.1] * 72], "shapes": [[0.0] * 10]}]
 SCENE = b'size = [64, 48]\nrate = 25.0\n[[avatar]]\nfile = "a.toml"\n[[camera]]\nkind = "orbit"\n'
 YAML = b'%YAML:1.0\nnames:\n   - "1"\nK_1: !!opencv-matrix\n   rows: 1\n   cols: 2\n   dt: d\n   data: [1., 2.]\n'
-LENSES = {3: Lens(np.eye(3), np.zeros(5), (64, 48))}
 JSON = {"text": True, "split": lambda data: (json.loads(data),), "join": lambda value: json.dumps(value).encode()}
 GLTF = {"split": split_glb, "join": join_glb}
 
@@ -190,8 +189,8 @@ FORMATS = {
     "landmarks": Format("landmarks.json", plain(LANDMARKS), read_pixels, **JSON),
     "scene": Format("scene.toml", plain(SCENE), read_scene, text=True, parts=True),
     "body model": Format("model.npz", written(lambda path: write_model(path.with_suffix(".npz"))), read_body, 50),
-    "COLMAP cameras": Format("cameras.bin", colmap("cameras.bin"), _binary_lenses),
-    "COLMAP images": Format("images.bin", colmap("images.bin"), lambda p: _binary_images(p, LENSES)),
+    "COLMAP cameras": Format("cameras.bin", colmap("cameras.bin"), lambda p: list(_binary_lenses(p))),
+    "COLMAP images": Format("images.bin", colmap("images.bin"), lambda p: list(_binary_images(p))),
     "OpenCV": Format("intri.yml", plain(YAML), read_opencv_yaml, text=True, parts=True),
     "sky": Format("sky.hdr", plain(radiance_bytes(np.ones((8, 16, 3)))), read_radiance),
     **{name: Format("a.bin", picture(name), any_picture, 2, parts=True) for name in WITH_WEBP},
