@@ -41,44 +41,52 @@ class ShapedSkeleton(NamedTuple):
 
 
 class Posed(NamedTuple):
-    """One frame: where each bone is and what turns it."""
+    """One frame, or many: where each bone is and what turns it."""
 
-    R: Float[Array, "52 3 3"]  # world from rest pose
-    place: Float[Array, "52 3"]  # world; the joints'
+    R: Float[Array, "*f 52 3 3"]  # world from rest pose
+    place: Float[Array, "*f 52 3"]  # world; the joints'
     # what each of a joint's three unknowns turns, world
-    axes: Float[Array, "52 3 3"]
+    axes: Float[Array, "*f 52 3 3"]
     # how the joints' places move with shape
-    shift: Float[Array, "52 3 g"]
+    shift: Float[Array, "*f 52 3 g"]
     skeleton: ShapedSkeleton
 
     @property
-    def transforms(self) -> Float[Array, "52 4 4"]:
+    def each(self) -> list["Posed"]:
+        """Frame by frame."""
+        return [Posed(*frame, self.skeleton) for frame in zip(self.R, self.place, self.axes, self.shift)]
+
+    @property
+    def transforms(self) -> Float[Array, "*f 52 4 4"]:
         """Where each bone takes points of the rest pose."""
-        out = np.zeros((52, 4, 4))
-        out[:, :3, :3], out[:, 3, 3] = self.R, 1
-        out[:, :3, 3] = self.place - np.einsum("kij,kj->ki", self.R, self.skeleton.joints)
+        out = np.zeros((*self.R.shape[:-2], 4, 4))
+        out[..., :3, :3], out[..., 3, 3] = self.R, 1
+        out[..., :3, 3] = self.place - np.einsum("...kij,kj->...ki", self.R, self.skeleton.joints)
         return out
 
 
 def posed(
-    skeleton: ShapedSkeleton, root: Float[Array, "3"], heading: Float[Array, "3 3"], angles: Float[Array, "52 3"]
-) -> Posed:
+    skeleton: ShapedSkeleton, root: Float[Array, "*f 3"], heading: Float[Array, "*f 3 3"],
+    angles: Float[Array, "*f 52 3"],
+) -> Posed:  # fmt: skip
     """Forward kinematics of joint angles with derivatives, rest pose 0; `heading` is the pelvis's rotation.
 
-    angles[0] is not used: the pelvis's unknowns are increments.
+    angles[..., 0, :] is not used: the pelvis's unknowns are increments.
     """
     local = matrix_from_axis_angle(axis_angle_from_joint_angles(angles))
-    local[0] = heading
+    local[..., 0, :, :] = heading
     joints, directions = skeleton
-    R, place, shift = local.copy(), np.zeros((52, 3)), np.zeros_like(directions)
-    place[0] = root
+    R, place, shift = local.copy(), np.zeros_like(angles), np.zeros((*angles.shape[:-2], *directions.shape))
+    place[..., 0, :] = root
     for level in DEPTHS:
         up = PARENTS[level]
-        R[level] = R[up] @ local[level]
-        place[level] = place[up] + np.einsum("kij,kj->ki", R[up], joints[level] - joints[up])
-        shift[level] = shift[up] + R[up] @ (directions[level] - directions[up])
+        R[..., level, :, :] = R[..., up, :, :] @ local[..., level, :, :]
+        place[..., level, :] = place[..., up, :] + np.einsum(
+            "...kij,kj->...ki", R[..., up, :, :], joints[level] - joints[up]
+        )
+        shift[..., level, :, :] = shift[..., up, :, :] + R[..., up, :, :] @ (directions[level] - directions[up])
     axes = turns(angles)
-    axes[0] = np.eye(3)
+    axes[..., 0, :, :] = np.eye(3)
     return Posed(R, place, R @ axes, shift, skeleton)
 
 
@@ -104,31 +112,34 @@ class SkinnedPoints(NamedTuple):
     weights: Float[Array, "n s"]
 
 
-def _carried(frame: Posed, points: SkinnedPoints) -> Float[Array, "n s 3"]:
+def _carried(frame: Posed, points: SkinnedPoints) -> Float[Array, "*f n s 3"]:
     """Where each bone alone takes each point."""
     k = points.joints
     arm = points.rest[:, None] - frame.skeleton.joints[k]
-    return np.einsum("nsij,nsj->nsi", frame.R[k], arm) + frame.place[k]
+    return (frame.R[..., k, :, :] @ arm[..., None])[..., 0] + frame.place[..., k, :]
 
 
-def skinned(frame: Posed, points: SkinnedPoints) -> Float[Array, "n 3"]:
+def skinned(frame: Posed, points: SkinnedPoints) -> Float[Array, "*f n 3"]:
     """Posed points."""
-    return np.einsum("ns,nsi->ni", points.weights, _carried(frame, points))
+    return np.einsum("ns,...nsi->...ni", points.weights, _carried(frame, points))
 
 
 def pose_rows(
-    frame: Posed, points: SkinnedPoints, c: Float[Array, "n 3"], moving: Int[Array, "m"]
-) -> Float[Array, "n p"]:
+    frame: Posed, points: SkinnedPoints, c: Float[Array, "*f n 3"], moving: Int[Array, "m"]
+) -> Float[Array, "*f n p"]:
     """Derivative of c . x to the root (3) and the unknowns of the `moving` joints (3 each).
 
     dx / d unknown_ji = axis_ji x sum_k w_k [k hangs from j] (x_k - place_j)
     """
     hangs = DESCENDS[points.joints][:, :, moving] * points.weights[:, :, None]
-    arm = np.einsum("nsm,nsi->nmi", hangs, _carried(frame, points)) - hangs.sum(1)[:, :, None] * frame.place[moving]
+    arm = np.swapaxes(hangs, 1, 2) @ _carried(frame, points)
+    arm -= hangs.sum(1)[:, :, None] * frame.place[..., None, moving, :]
     # (a x r) . c = a . (r x c)
-    turn = np.cross(arm, c[:, None])
-    rows = np.einsum("nmi,mij->nmj", turn, frame.axes[moving])
-    return np.concatenate([c, rows.reshape(len(c), 3 * len(moving))], 1)
+    x, y, z = np.moveaxis(arm, -1, 0)
+    cx, cy, cz = np.moveaxis(c[..., None, :], -1, 0)
+    turn = np.stack([y * cz - z * cy, z * cx - x * cz, x * cy - y * cx], -1)
+    rows = (turn[..., None, :] @ frame.axes[..., None, moving, :, :])[..., 0, :]
+    return np.concatenate([c, rows.reshape(*c.shape[:-1], 3 * len(moving))], -1)
 
 
 def increment_rows(
@@ -138,19 +149,19 @@ def increment_rows(
     return pose_rows(frame, SkinnedPoints(rest, np.zeros((len(rest), 3, 0)), skin.joints, skin.weights), c, moving)
 
 
-def shape_rows(frame: Posed, points: SkinnedPoints, c: Float[Array, "n 3"]) -> Float[Array, "n g"]:
+def shape_rows(frame: Posed, points: SkinnedPoints, c: Float[Array, "*f n 3"]) -> Float[Array, "*f n g"]:
     """Derivative of c . x to the shape: x = sum_k w_k (R_k (v - J_k) + place_k)."""
-    k = points.joints
-    back = np.einsum("nsij,ni,ns->nsj", frame.R[k], c, points.weights)
-    rows = np.einsum("nj,njg->ng", back.sum(1), points.directions)
+    k, every, g = points.joints, np.arange(len(points.joints)), points.directions.shape[2]
+    back = (np.swapaxes(frame.R[..., k, :, :], -1, -2) @ c[..., None, :, None])[..., 0] * points.weights[..., None]
+    rows = (back.sum(-2)[..., None, :] @ points.directions)[..., 0, :]
     # sums over bones: each point has few, all bones are few
-    of_bone = np.zeros((len(c), 52, 3))
-    np.add.at(of_bone, (np.arange(len(c))[:, None], k), back)
-    rows -= of_bone.reshape(len(c), 156) @ frame.skeleton.directions.reshape(156, points.directions.shape[2])
-    weight = np.zeros((len(c), 52))
-    np.add.at(weight, (np.arange(len(c))[:, None], k), points.weights)
-    moved = (weight[:, :, None] * c[:, None]).reshape(len(c), 156)
-    return rows + moved @ frame.shift.reshape(156, points.directions.shape[2])
+    of_bone, weight = np.zeros((*c.shape[:-1], 52, 3)), np.zeros((len(k), 52))
+    for slot in range(k.shape[1]):
+        of_bone[..., every, k[:, slot], :] += back[..., slot, :]
+        weight[every, k[:, slot]] += points.weights[:, slot]
+    rows -= of_bone.reshape(*c.shape[:-1], 156) @ frame.skeleton.directions.reshape(156, g)
+    moved = (weight[:, :, None] * c[..., None, :]).reshape(*c.shape[:-1], 156)
+    return rows + moved @ frame.shift.reshape(*c.shape[:-2], 156, g)
 
 
 def turns(angles: Float[Array, "*b 52 3"]) -> Float[Array, "*b 52 3 3"]:
@@ -194,13 +205,15 @@ def second_turns(
     return v[1:] - v[:-1], [back[:-1], -back[1:] - eye, eye]
 
 
-def pixel_rows(camera: Camera, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n 2"], Float[Array, "n 2 3"]]:
+def pixel_rows(
+    camera: Camera, points: Float[Array, "*f n 3"]
+) -> tuple[Float[Array, "*f n 2"], Float[Array, "*f n 2 3"]]:
     """Pixels of world points, and their derivative to the points; lens distortion left out."""
     R = camera.camera_from_world[:3, :3]
-    x, y, z = (points @ R.T + camera.camera_from_world[:3, 3]).T
+    x, y, z = np.moveaxis(points @ R.T + camera.camera_from_world[:3, 3], -1, 0)
     z = np.maximum(z, NEAREST)
     o = np.zeros_like(z)
     fx, fy, skew = camera.K[0, 0], camera.K[1, 1], camera.K[0, 1]
-    rows = np.stack([np.stack([fx / z, skew / z, -(fx * x + skew * y) / z**2], 1),
-                     np.stack([o, fy / z, -fy * y / z**2], 1)], 1)  # fmt: skip
-    return camera.K[:2, 2] + np.stack([(fx * x + skew * y) / z, fy * y / z], 1), rows @ R
+    rows = np.stack([np.stack([fx / z, skew / z, -(fx * x + skew * y) / z**2], -1),
+                     np.stack([o, fy / z, -fy * y / z**2], -1)], -2)  # fmt: skip
+    return camera.K[:2, 2] + np.stack([(fx * x + skew * y) / z, fy * y / z], -1), rows @ R

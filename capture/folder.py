@@ -101,6 +101,11 @@ class Capture:
     # by part, those that were read; from a folder one at a time (capture/videos.py)
     videos: Mapping[str, PartVideo]
 
+    @property
+    def fitted_here(self) -> bool:
+        """Whether `import video` fitted poses and template to these videos, by keypoints and outlines."""
+        return self.facts.get("source") == "video"
+
 
 def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS, frames_on_demand: bool = False) -> Capture:
     """Read and check a capture folder; of its videos only those of `parts` are read, and large ones again when they are

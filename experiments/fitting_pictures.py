@@ -35,7 +35,7 @@ def shown_frames(footage: Footage) -> list[int]:
 def overlay(picture: UInt8[np.ndarray, "height width 3"], estimate: Estimate, footage: Footage, frame: int
             ) -> UInt8[np.ndarray, "height width 3"]:  # fmt: skip
     """The picture of a frame with the estimate drawn over it."""
-    posed, points, camera = posed_frames(estimate)[frame], estimate.skin(), estimate.camera(footage)
+    posed, points, camera = posed_frames(estimate).each[frame], estimate.skin(), estimate.camera(footage)
     body = rasterise(skinned(posed, points), estimate.person.body.faces, camera)
     inside: Bool[np.ndarray, "height width"] = body.face >= 0
     drawn = picture.copy()

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from avatar.camera import Camera, project
@@ -32,9 +32,12 @@ class _Projected(NamedTuple):
 
 
 def rasterise(
-    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], camera: Camera, *, near: float = 1e-3
-) -> FaceBuffer:
+    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], camera: Camera, *, near: float = 1e-3,
+    asked: Bool[Array, "height width"] | None = None,
+) -> FaceBuffer:  # fmt: skip
     """The nearest triangle through every pixel centre; both sides are drawn.
+
+    `asked`: pixels whose answer is wanted, the others' may be wrong; None: all.
 
     1/depth is linear on the image of a triangle, so it is what is interpolated and compared. Triangles with a
     corner nearer than `near` are left out, not clipped; lens distortion moves corners, edges stay straight.
@@ -49,6 +52,11 @@ def rasterise(
     size = np.maximum(high - low + 1, 0)
     area = _cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     drawn = np.flatnonzero((z > near).all(1) & (size > 0).all(1) & (np.abs(area) > 1e-12))
+    if asked is not None:
+        before = np.pad(asked.cumsum(0).cumsum(1), ((1, 0), (1, 0)))  # asked above and to the left
+        (left, top), (right, bottom) = low[drawn].T, high[drawn].T + 1
+        inside = before[bottom, right] - before[top, right] - before[bottom, left] + before[top, left]
+        drawn = drawn[inside > 0]
     count = size[drawn].prod(1)
     triangles = _Projected(corner, 1 / np.maximum(z, near), area, low, size)
     face = np.full(height * width, -1)
@@ -68,26 +76,22 @@ def _draw(
     """Draw the chosen faces over what is there, in place."""
     corner, inverse, area, low, size = triangles
     count = size[chosen].prod(1)
-    of = np.repeat(chosen, count)
-    place = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
-    column, row = low[of, 0] + place % size[of, 0], low[of, 1] + place // size[of, 0]
-    p = np.stack([column + 0.5, row + 0.5], 1)
-    a, b, c = corner[of, 0], corner[of, 1], corner[of, 2]
-    u, v = _cross(c - b, p - b) / area[of], _cross(a - c, p - c) / area[of]
+    # barycentric coordinates at the box's first pixel centre, and their steps to the right and down
+    first, (a, b, c) = low[chosen] + 0.5, corner[chosen].transpose(1, 0, 2)
+    u = np.c_[_cross(c - b, first - b), (b - c)[:, 1], (c - b)[:, 0]] / area[chosen, None]
+    v = np.c_[_cross(a - c, first - c), (c - a)[:, 1], (a - c)[:, 0]] / area[chosen, None]
+    of = np.repeat(np.arange(len(chosen)), count)
+    down, right = np.divmod(np.arange(len(of)) - (np.cumsum(count) - count)[of], size[chosen, 0][of])
+    u, v = (at[:, 0][of] + at[:, 1][of] * right + at[:, 2][of] * down for at in (u, v))
     w = 1 - u - v
-    inside = (u >= -1e-9) & (v >= -1e-9) & (w >= -1e-9)
-    of, pixel = of[inside], row[inside] * width + column[inside]
-    near = u[inside] * inverse[of, 0] + v[inside] * inverse[of, 1] + w[inside] * inverse[of, 2]
-    # the nearest is written last
-    order = np.argsort(near, kind="stable")
-    of, pixel, near = of[order], pixel[order], near[order]
-    first = np.full(len(face), -1)
-    first[pixel] = np.arange(len(pixel))
-    seen = np.flatnonzero(first >= 0)
-    candidate = first[seen]
-    nearer = near[candidate] > closeness[seen]
-    face[seen[nearer]] = of[candidate[nearer]]
-    closeness[seen[nearer]] = near[candidate[nearer]]
+    inside = np.flatnonzero((u >= -1e-9) & (v >= -1e-9) & (w >= -1e-9))
+    of, u, v, w = chosen[of[inside]], u[inside], v[inside], w[inside]
+    pixel = (low[of, 1] + down[inside]) * width + low[of, 0] + right[inside]
+    near = u * inverse[of, 0] + v * inverse[of, 1] + w * inverse[of, 2]
+    before = closeness[pixel]
+    np.maximum.at(closeness, pixel, near)
+    nearest = (near == closeness[pixel]) & (near > before)
+    face[pixel[nearest]] = of[nearest]
 
 
 def _cross(a: Array, b: Array) -> Array:

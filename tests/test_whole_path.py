@@ -31,7 +31,8 @@ def test_textures_from_the_videos_are_nearer_to_the_true_pictures(out, context):
     facts = avatars["videos"].provenance["baked"]
     assert facts["texture_from"] == "videos" and facts["videos"]["hand_left"]["pixels"] > 1000
     against, same = facts["against_field"], avatars["a"].provenance["baked"]["against_field"]
-    assert abs(against["paper_db"] - same["paper_db"]) < 0.1
+    # beside the videos' textures the field's picture has half the texels a side
+    assert same["paper_db"] - 3 < against["paper_db"] < same["paper_db"] + 0.1
     assert np.array_equal(avatars["a"].levels[0].positions, avatars["videos"].levels[0].positions)
     views = read_true_views(out / "capture", 3).sets["novel_view"]
     field, videos = (

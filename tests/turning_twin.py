@@ -65,7 +65,7 @@ def turning_twin(
 
 def pixels_of(truth: Estimate, footage: Footage) -> Array:
     """Where the footage's points are in its pictures."""
-    return np.stack([projected(truth, footage, frame) for frame in posed_frames(truth)])
+    return projected(truth, footage, posed_frames(truth))
 
 
 def pictured(truth: Estimate, names: tuple[str, ...], moving: Array, *, size: int, focal: float) -> Twin:
@@ -89,7 +89,7 @@ def in_clothes(truth: Estimate, footage: Footage, thickness: Array | float) -> F
 def mask_of(truth: Estimate, footage: Footage, i: int) -> Array:
     """The silhouette of one frame."""
     points = truth.skin()
-    x = skinned(posed_frames(truth)[i], points)
+    x = skinned(posed_frames(truth).each[i], points)
     return (255 * (rasterise(x, truth.person.body.faces, truth.camera(footage)).face >= 0)).astype(np.uint8)
 
 
@@ -97,5 +97,5 @@ def limb_error(truth: Estimate, found: Estimate) -> float:
     """Mean distance of hips, knees, ankles, shoulders, elbows and wrists, metres, in the camera's frame."""
     limbs = [JOINTS.index(f"{s}_{n}") for s in ("left", "right")
              for n in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")]  # fmt: skip
-    places = [np.stack([frame.place[limbs] for frame in posed_frames(e)]) for e in (truth, found)]
+    places = [posed_frames(e).place[:, limbs] for e in (truth, found)]
     return float(np.linalg.norm(places[0] - places[1], axis=2).mean())

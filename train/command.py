@@ -43,7 +43,7 @@ class TrainOptions:
     refine_poses: Annotated[
         str, OneOf(("auto", "on", "off")),
         "move noisy poses onto the masks first, then learn what is left with the field; "
-        "auto: videos whose outlines do not meet",
+        "auto: videos whose outlines do not meet, but for those that `import video` fitted",
     ] = "auto"  # fmt: skip
     without: Annotated[
         tuple[str, ...], OneOf(ITEM_NAMES), Option(several=True),

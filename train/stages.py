@@ -28,6 +28,7 @@ from command.errors import AssetError
 from command.interrupt import prompt_stop
 from command.progress import Progress, ProgressBoard, Reporter
 from command.settings import settings_json
+from command.workers import run_jobs
 from files.whole import whole_folder
 from train import run as run_folder
 from train.command import TrainOptions
@@ -42,7 +43,6 @@ from train.seen import seen_parts
 from train.session import Session, capture_digest, capture_place, digest_of, exclusive_lock, open_session
 from train.trainer import Checkpoints, Watch, peak_memory
 from train.union import read_rays
-from train.workers import run_jobs
 
 # time of what follows stage 1, as a share of it, for the time left; demo on two cores
 AFTER = 0.2

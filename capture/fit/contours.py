@@ -115,11 +115,11 @@ def silhouette(
     scale = min(1.0, DRAWN / max(float(np.ptp(at[:, 1].clip(0, size[1]))), 1.0))
     small = (max(int(scale * size[0]), 1), max(int(scale * size[1]), 1))
     smaller = replace(camera, K=np.diag([scale, scale, 1]) @ camera.K, size=small)
-    drawn = rasterise(x, faces[front], smaller).face >= 0
-    outside = (scale * at[rim] + 2.0 * flat).astype(int)
     inside = ((at[rim] > 1) & (at[rim] < np.array(size) - 1)).all(1)
-    outside = np.clip(outside, 0, np.array(small) - 1)
-    free = inside & ~drawn[outside[:, 1], outside[:, 0]]
+    column, row = np.clip((scale * at[rim] + 2.0 * flat).astype(int), 0, np.array(small) - 1).T
+    asked = np.zeros(small[::-1], bool)
+    asked[row, column] = True
+    free = inside & (rasterise(x, faces[front], smaller, asked=asked).face[row, column] < 0)
     rim, flat = rim[free], flat[free]
     if len(rim) > SAMPLES:
         # neighbours on the outline have neighbouring angles round its middle

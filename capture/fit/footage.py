@@ -112,7 +112,7 @@ class Estimate:
     def skin(self, vertices: Int[Array, "n"] | slice = slice(None)) -> SkinnedPoints:
         """Vertices of the surface."""
         person, skin = self.person, self.person.body.skin
-        rest = person.vertices(self.g)[vertices]
+        rest = person.vertices(self.g, vertices)
         return SkinnedPoints(rest, person.vertex_directions[vertices], skin.joints[vertices], skin.weights[vertices])
 
 

@@ -13,35 +13,30 @@ from capture.fit.priors import shared_layout
 from geometry.least_squares import NormalEquations, robust_cost, robust_weight
 
 
-def projected(estimate: Estimate, footage: Footage, frame: Posed) -> Float[Array, "points 2"]:
+def projected(estimate: Estimate, footage: Footage, frames: Posed) -> Float[Array, "*f points 2"]:
     """Pixels of the named points."""
-    points = estimate.markers(footage)
-    return pixel_rows(estimate.camera(footage), skinned(frame, points))[0]
+    return pixel_rows(estimate.camera(footage), skinned(frames, estimate.markers(footage)))[0]
 
 
 def add_keypoints(
-    equations: NormalEquations, estimate: Estimate, footage: Footage, frames: list[Posed], cut: float
-) -> float:
+    equations: NormalEquations, estimate: Estimate, footage: Footage, frames: Posed, cut: float
+) -> float:  # fmt: skip
     """Add the term with c = `cut` standard deviations; returns its cost."""
-    layout, camera, points = shared_layout(estimate, footage), estimate.camera(footage), estimate.markers(footage)
-    cost = 0.0
-    for f, frame in enumerate(frames):
-        sure = footage.sure[f]
-        x = skinned(frame, points)
-        at, moves = pixel_rows(camera, x)
-        r = footage.pixels[f] - at
-        e = (r**2).sum(1) * sure**2
-        weight = sure**2 * robust_weight(e, cut)
-        cost += float(robust_cost(e, cut).sum())
-        for axis in range(2):
-            c = moves[:, axis]
-            shared = np.zeros((len(x), layout.count))
-            shared[:, layout.g] = shape_rows(frame, points, c)
-            own = np.einsum("ni,nij->nj", c, frame.R[points.joints[:, 0]])
-            index = layout.bias.start + 3 * np.arange(len(x))
-            for i in range(3):
-                shared[np.arange(len(x)), index + i] = own[:, i]
-            shared[:, layout.focal] = at[:, axis] - footage.centre[axis]
-            rows = pose_rows(frame, points, c, footage.turning)
-            equations.add(f, rows, r[:, axis], weight, shared)
-    return cost
+    layout, points, sure = shared_layout(estimate, footage), estimate.markers(footage), footage.sure
+    at, moves = pixel_rows(estimate.camera(footage), skinned(frames, points))
+    r = footage.pixels - at
+    e = (r**2).sum(-1) * sure**2
+    weight = sure**2 * robust_weight(e, cut)
+    every, count = np.arange(len(points.rest)), len(points.rest)
+    for axis in range(2):
+        c = moves[..., axis, :]
+        shared = np.zeros((*e.shape, layout.count))
+        shared[..., layout.g] = shape_rows(frames, points, c)
+        own = (c[..., None, :] @ frames.R[:, points.joints[:, 0]])[..., 0, :]
+        bias = shared[..., layout.bias].reshape(*e.shape, count, 3)
+        bias[:, every, every] = own
+        shared[..., layout.bias] = bias.reshape(*e.shape, 3 * count)
+        shared[..., layout.focal] = at[..., axis] - footage.centre[axis]
+        for f, rows in enumerate(pose_rows(frames, points, c, footage.turning)):
+            equations.add(f, rows, r[f, :, axis], weight[f], shared[f])
+    return float(robust_cost(e, cut).sum())

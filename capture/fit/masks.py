@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
-from scipy import ndimage
 
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
@@ -103,15 +102,8 @@ def edge_by_colors(
         grown = away < -pixels
         return grown, np.abs(away + pixels) < MARGIN
     labels = np.where(person, 1, np.where(beside, 2, 0))
-    near = np.asarray(ndimage.binary_dilation(labels == 0, iterations=2), bool)  # farther seeds decide nothing
-    window = ndimage.find_objects(near.astype(int))[0]
-    colors = image / 255.0
-    # what is walked on is scaled by the deviation of its colors
-    beta = CONTRAST * colors[window].std() / max(colors.std(), 1e-6)
     # a pixel that no seed reaches keeps probability 0 of either: unsure
-    walked = walk(colors[window], np.where(near, labels, -1)[window], beta)
-    probability = np.stack([person, beside]).astype(float)
-    probability[(slice(None), *window)][:, near[window]] = walked[:, near[window]]
+    probability = walk(image / 255.0, labels, CONTRAST)
     share = probability[0] / np.maximum(probability.sum(0), 1e-9)
     share = np.where(probability.sum(0) > 1e-6, share, 0.5)
     found = share > 0.5

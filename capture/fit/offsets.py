@@ -59,7 +59,7 @@ def fit_offsets(
     start = (person.offsets * normals).sum(1)
     rows, columns, values = [], [], []
     camera = estimate.camera(footage)
-    for frame, pair in zip(posed_frames(estimate), outlines.pairs(estimate, footage, chosen)):
+    for frame, pair in zip(posed_frames(estimate).each, outlines.pairs(estimate, footage, chosen)):
         points = estimate.skin(pair.vertices)
         x = skinned(frame, points)
         at, moves = pixel_rows(camera, x)

@@ -43,7 +43,7 @@ class Outlines:
         """The silhouettes of all frames at an estimate on the masks' outlines; `chosen` vertices alone."""
         points, camera, faces = estimate.skin(), estimate.camera(footage), estimate.person.body.faces
         found = []
-        for frame, contour in zip(posed_frames(estimate), self.contours):
+        for frame, contour in zip(posed_frames(estimate).each, self.contours):
             x = skinned(frame, points)
             rim = silhouette(x, faces, camera, chosen)
             index, length = contour.nearest(rim.at, rim.normals, BEND * self.scale)
@@ -68,10 +68,10 @@ class Outlines:
         """The term for given pairs."""
         sigma = SIGMA * self.scale
 
-        def add(equations: NormalEquations, estimate: Estimate, footage: Footage, frames: list[Posed]) -> float:
+        def add(equations: NormalEquations, estimate: Estimate, footage: Footage, frames: Posed) -> float:
             """Adds the pairs' weighted rows to the equations; returns their robust cost."""
             layout, camera, cost = shared_layout(estimate, footage), estimate.camera(footage), 0.0
-            for f, (frame, pair) in enumerate(zip(frames, pairs)):
+            for f, (frame, pair) in enumerate(zip(frames.each, pairs)):
                 points = estimate.skin(pair.vertices)
                 x = skinned(frame, points)
                 at, moves = pixel_rows(camera, x)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from avatar.body import Body, builtin_body
@@ -49,9 +49,9 @@ class Person:
     stature: float  # metres, without offsets
     offsets: Float[Array, "vertices 3"]  # pose 0
 
-    def vertices(self, g: Float[Array, "g"]) -> Float[Array, "vertices 3"]:
-        """Surface in pose 0."""
-        return self.body.vertices + self.vertex_directions @ g + self.offsets
+    def vertices(self, g: Float[Array, "g"], chosen: Int[Array, "n"] | slice = slice(None)) -> Float[Array, "n 3"]:
+        """Surface in pose 0, or `chosen` vertices of it."""
+        return self.body.vertices[chosen] + self.vertex_directions[chosen] @ g + self.offsets[chosen]
 
     def joints(self, g: Float[Array, "g"]) -> Float[Array, "52 3"]:
         """Joints in pose 0."""

@@ -54,10 +54,11 @@ def refine_capture(
 ) -> dict[str, Any]:  # fmt: skip
     """Write refined_PART.npz of every part into `folder` where poses or masks are off; returns what was found.
 
-    `choice`: off measures nothing, on refines all poses, auto those whose outlines miss the masks'. `run` does the
-    jobs, several at a time. Files that are there (a training that goes on) are kept.
+    `choice`: off measures nothing, on refines all poses, auto those whose outlines miss the masks'; not those that were
+    fitted to outlines and keypoints together, which outlines alone would draw away again. `run` does the jobs, several
+    at a time. Files that are there (a training that goes on) are kept.
     """
-    if choice == "off":
+    if choice == "off" or (choice == "auto" and capture.fitted_here):
         return {}
     done = folder / "refined.json"
     if done.exists():

@@ -67,11 +67,8 @@ def check_upright(footage: Footage) -> None:
 
 def misfits(estimate: Estimate, footage: Footage) -> Float[Array, "frames points"]:
     """Distance of each point from the fit, pixels; NaN where not seen."""
-    out = np.full(footage.sure.shape, np.nan)
-    for f, frame in enumerate(posed_frames(estimate)):
-        away = np.linalg.norm(projected(estimate, footage, frame) - footage.pixels[f], axis=1)
-        out[f] = np.where(footage.sure[f] > 0, away, np.nan)
-    return out
+    away = np.linalg.norm(projected(estimate, footage, posed_frames(estimate)) - footage.pixels, axis=-1)
+    return np.where(footage.sure > 0, away, np.nan)
 
 
 def check_fit(part: str, estimate: Estimate, footage: Footage) -> Bool[Array, "frames"]:

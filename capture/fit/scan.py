@@ -1,9 +1,10 @@
 """Videos to a person: body, and of hands and head what was filmed, each from what the ones before it found."""
 
+import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,7 +12,7 @@ from numpy import ndarray as Array
 
 from avatar.limits import axis_angle_from_joint_angles
 from avatar.rotation import axis_angle_from_matrix, rotation_between
-from avatar.skeleton import skin_transforms
+from avatar.skeleton import PARTS, skin_transforms
 from capture.fit import body, hand, head
 from capture.fit.focal import Focal, focal_of_videos
 from capture.fit.footage import Estimate, Footage, footage_of
@@ -22,7 +23,8 @@ from capture.fit.stored import FIELDS, estimate_fields, estimate_of, fingerprint
 from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
 from capture.read.template import TemplateMesh
 from command.errors import AssetError
-from command.progress import Progress, plural
+from command.progress import Progress, ProgressBoard, Reporter, plural
+from command.workers import run_jobs
 
 # shorter sides of the picture: a phone's video, where its file does not say
 FOCAL = 1.5
@@ -31,6 +33,8 @@ FOCAL = 1.5
 GUESSED, WRITTEN, GIVEN, FOUND = 0.1, 0.05, 0.005, 0.003
 # what each video's fit reports
 STEPS = {"focal": 4, "body": 10, "hand_left": 6, "hand_right": 6, "head": 8}
+# one hand's fingers begin as the other's were found
+CLOSE_UPS = {"hands": ("hand_left", "hand_right"), "head": ("head",)}
 OPENCV = np.diag([1.0, -1.0, -1.0])
 LANDMARKS = {
     "nose_tip": "face_30", "nose_bridge": "face_27", "chin": "face_08", "left_mouth": "face_54",
@@ -49,7 +53,9 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
         AssetError: a video has too few points, points that are not of its person, or a fit that explains too little.
     """
     notes = [] if stature else [f"stature not given: {person_of(sex).stature:.2f} m of the free body, {sex}"]
-    fit = _Fit(work)
+    if work is not None:
+        work.mkdir(parents=True, exist_ok=True)
+    fit = _Fit(work, Progress("fitting", STEPS["focal"] + STEPS["body"]).update)
     found: dict[str, FittedVideo] = {}
     person = person_of(sex, stature)
     phone = phone_of(scan.videos.values())
@@ -73,19 +79,11 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
     usable = check_fit("body", estimate, body.sides_restored(estimate, footage))
     found["body"] = posed_video(estimate, footage, usable, level=True)
 
-    for part in ("hand_left", "hand_right", "head"):
-        if part in footages:
-            estimate, found[part] = fit.close_up(part, estimate, footages[part])
-            continue
-        # a body's video shows a face well enough, but fingers as some pixels
-        found[part] = carried(part, found["body"], estimate.person.joints(estimate.g))
-        if part == "head":
-            try:
-                seen = footage_in(replace(scan.videos["body"], part=part), phone)
-                estimate, found[part] = fit.close_up(part, estimate, seen)
-            except AssetError as error:
-                notes.append(f"head: as the body holds it: {error}")
-
+    estimate, closer, told = _closer(scan.videos["body"], footages, phone, estimate, fit)
+    joints = estimate.person.joints(estimate.g)
+    # a body's video shows a face well enough, but fingers as some pixels
+    found |= {part: closer[part] if part in closer else carried(part, found["body"], joints) for part in PARTS[1:]}
+    notes += told
     for part, fitted in found.items():
         if not fitted.usable.all():
             bad = scan.videos.get(part, scan.videos["body"]).frames[~fitted.usable]
@@ -97,14 +95,66 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
     return FittedScan(template_of(estimate), found, places, tuple(notes))
 
 
+class _CloseUps(NamedTuple):
+    """Videos that are fitted one after the other, for a worker process."""
+
+    footages: dict[str, Footage]
+    estimate: Estimate  # the body's
+    before: str
+    work: Path | None
+    filmed: bool  # or cut from the body's video, which may show too little
+
+
+class _Closer(NamedTuple):
+    """What close-ups add to the body: coefficients, offsets and their videos; or why there is nothing."""
+
+    g: Float[Array, "g"]
+    offsets: Float[Array, "vertices 3"]
+    videos: dict[str, FittedVideo]
+    failure: str = ""
+
+
+def _fit_close_ups(job: _CloseUps, reporter: Reporter) -> _Closer:
+    fit, estimate, videos = _Fit(job.work, reporter.step, job.before), job.estimate, {}
+    person, g = estimate.person, estimate.g
+    try:
+        for part, footage in job.footages.items():
+            estimate, videos[part] = fit.close_up(part, estimate, footage)
+    except AssetError as error:
+        if job.filmed:
+            raise
+        return _Closer(np.zeros_like(g), np.zeros_like(person.offsets), {}, str(error))
+    return _Closer(estimate.g - g, estimate.person.offsets - person.offsets, videos)
+
+
+def _closer(
+    body: RawVideo, footages: Mapping[str, Footage], phone: Focal, estimate: Estimate, fit: "_Fit"
+) -> tuple[Estimate, dict[str, FittedVideo], list[str]]:
+    """The person with head and hands as their videos show them, those videos, and what is worth saying."""
+    seen = {"head": footage_in(replace(body, part="head"), phone)} | dict(footages)
+    jobs = {}
+    for name, parts in CLOSE_UPS.items():
+        there = {part: seen[part] for part in parts if part in seen}
+        if there:
+            jobs[name] = _CloseUps(there, estimate, fit.before, fit.work, parts[0] in footages or name == "hands")
+    workers = min(os.cpu_count() or 1, len(jobs))
+    board = ProgressBoard({name: sum(STEPS[part] for part in job.footages) for name, job in jobs.items()}, workers)
+    done = run_jobs(jobs, _fit_close_ups, board, workers)
+    person, videos = estimate.person, {}
+    for each in done.values():
+        videos |= each.videos
+    offsets = person.offsets + sum(each.offsets for each in done.values())
+    estimate = replace(estimate, person=person.with_offsets(offsets),
+                       g=estimate.g + sum(each.g for each in done.values()))  # fmt: skip
+    told = [f"{name}: as the body holds it: {each.failure}" for name, each in done.items() if each.failure]
+    return estimate, videos, told
+
+
 class _Fit:
     """Steps of the fit: done, or read back, and reported."""
 
-    def __init__(self, work: Path | None):
-        self.work, self.done = work, 0
-        self.progress, self.before = Progress("fitting", sum(STEPS.values())), ""
-        if work is not None:
-            work.mkdir(parents=True, exist_ok=True)
+    def __init__(self, work: Path | None, show: Callable[[int, str], None], before: str = ""):
+        self.work, self.show, self.before, self.done = work, show, before, 0
 
     def step(self, part: str, person: Person, g: Array, footage: Footage, fit: Callable[..., Estimate]) -> Estimate:
         """The part's estimate: `fit` from coefficients `g`, or what was stored of the same inputs."""
@@ -121,7 +171,7 @@ class _Fit:
             fields = make()
             write_step(path, fields, inputs)
         self.done = end
-        self.progress.update(end, name)
+        self.show(end, name)
         return fields
 
     def close_up(self, part: str, estimate: Estimate, footage: Footage) -> tuple[Estimate, FittedVideo]:
@@ -150,7 +200,7 @@ class _Fit:
 
     def report(self, note: str) -> None:
         self.done += 1
-        self.progress.update(self.done, note)
+        self.show(self.done, note)
 
 
 def phone_of(videos: Iterable[RawVideo]) -> Focal:

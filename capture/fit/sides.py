@@ -49,13 +49,14 @@ def sides_restored(estimate: Estimate, footage: Footage) -> Footage:
     other = opposite(footage.names)
     groups = np.array([group_of(name) for name in footage.names])
     pixels, sure = footage.pixels.copy(), footage.sure.copy()
-    for f, frames in enumerate(zip(posed_frames(estimate), posed_frames(between_neighbours(estimate)))):
+    drawn = (projected(estimate, footage, posed_frames(e)) for e in (estimate, between_neighbours(estimate)))
+    for f, places in enumerate(zip(*drawn)):
         misfits = [
             [
                 np.minimum(((at - footage.pixels[f, order]) ** 2).sum(1) * footage.sure[f, order] ** 2, FAR**2)
                 for order in (np.arange(len(other)), other)
             ]
-            for at in (projected(estimate, footage, frame) for frame in frames)
+            for at in places
         ]
         for group in GROUPS:
             mine = np.flatnonzero(groups == group)

@@ -15,15 +15,14 @@ from capture.fit.priors import Priors, add_priors, shared_layout
 from geometry.least_squares import NormalEquations, minimise
 
 # a term adds itself to the equations and returns its cost
-Term = Callable[[NormalEquations, Estimate, Footage, list[Posed]], float]
+Term = Callable[[NormalEquations, Estimate, Footage, Posed], float]
 # radians and metres that one step may change
 LONGEST = 0.5
 
 
-def posed_frames(estimate: Estimate) -> list[Posed]:
-    """Every frame's skeleton."""
-    skeleton = estimate.skeleton()
-    return [posed(skeleton, *frame) for frame in zip(estimate.root, estimate.heading, estimate.angles)]
+def posed_frames(estimate: Estimate) -> Posed:
+    """The skeleton in all frames."""
+    return posed(estimate.skeleton(), estimate.root, estimate.heading, estimate.angles)
 
 
 def placed_rigidly(
@@ -31,7 +30,7 @@ def placed_rigidly(
     seen: Bool[Array, "frames points"], *, mirrored: Int[Array, "points"] | None = None, slack: float = SLACK,
 ) -> tuple[Estimate, Directions]:  # fmt: skip
     """The first pose of an estimate, stiff, turned about a joint and placed as the points of every frame say."""
-    frame = posed_frames(estimate.placed(np.zeros((1, 3)), np.eye(3)[None]))[0]
+    frame = posed(estimate.skeleton(), np.zeros(3), np.eye(3), estimate.angles[0])
     x = skinned(frame, estimate.markers(footage)) - frame.place[joint]
     found = find_directions(x, footage.pixels, seen, candidates, mirrored, slack)
     root = place_of(found, footage.focal, footage.centre) - found.rotation @ frame.place[joint]

@@ -14,7 +14,7 @@ from files.whole import whole_file
 
 ARRAYS = ("g", "bias", "mean", "root", "heading", "angles")
 # raised whenever a step of the fit would answer otherwise: what an older one found is then not gone on from
-METHOD = 3
+METHOD = 4
 FIELDS = (*ARRAYS, "offsets", "log_focal")
 
 

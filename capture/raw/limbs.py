@@ -61,16 +61,18 @@ def _within(keypoints: Keypoints, frame: int, shape: tuple[int, int], reach) -> 
     small = (DRAWN, round(shape[1] * scale))
     trunk = trunk_length(keypoints, frame, (shape[1], shape[0])) * scale
     out = np.zeros(small, bool)
-    y, x = np.mgrid[: small[0], : small[1]] + 0.5
     for a, b in LIMBS:
         p, q = keypoints.seen(a)[frame], keypoints.seen(b)[frame]
         if min(p[2], q[2]) <= SURE:
             continue
-        p, q = scale * p[:2], scale * q[:2]
+        p, q, width = scale * p[:2], scale * q[:2], max(reach(a), reach(b)) * trunk + 0.5
+        low = np.clip(np.floor(np.minimum(p, q) - width), 0, small[::-1]).astype(int)
+        high = np.clip(np.ceil(np.maximum(p, q) + width), 0, small[::-1]).astype(int)
+        y, x = np.mgrid[low[1] : high[1], low[0] : high[0]] + 0.5
         along = q - p
         t = np.clip(((x - p[0]) * along[0] + (y - p[1]) * along[1]) / max(along @ along, 1e-9), 0, 1)
         away = np.hypot(x - p[0] - t * along[0], y - p[1] - t * along[1])
-        out |= away < max(reach(a), reach(b)) * trunk + 0.5
+        out[low[1] : high[1], low[0] : high[0]] |= away < width
     if not out.any():
         return np.full(shape, reach("left_knee") == HULL)
     zoomed = ndimage.zoom(out.astype(np.float32), (shape[0] / small[0], shape[1] / small[1]), order=1)

@@ -97,18 +97,22 @@ def _differs(
     """Probability that a pixel does not show the room, nor the room in shadow."""
     shown, behind = smoothed(image), plate.smooth * gain
     # where the room has edges more difference means nothing
-    bright = behind.mean(-1)
+    bright = _dot(behind, np.ones_like(behind)) / 3
     deviation = np.sqrt((0.8 * plate.noise) ** 2 + (0.012 * bright) ** 2 + (0.6 * plate.detail) ** 2)
     off = shown - behind
-    apart = np.sqrt((off**2).mean(-1)) / deviation
+    apart = np.sqrt(_dot(off, off) / 3) / deviation
     # the room in shadow: the same color, darker
-    ratio = (shown * behind).sum(-1) / np.maximum((behind**2).sum(-1), 1)
-    darkest = np.full((len(image), 1), WALL_DARKEST)
+    ratio = _dot(shown, behind) / np.maximum(_dot(behind, behind), 1)
+    darkest = np.full((len(image), 1), WALL_DARKEST, np.float32)
     darkest[floor:] = DARKEST
-    rest = np.sqrt(((shown - np.clip(ratio, darkest, 1.0)[..., None] * behind) ** 2).mean(-1))
-    shaded = rest / (deviation + 0.05 * (1 - np.clip(ratio, 0, 1)) * bright)
+    rest = shown - np.clip(ratio, darkest, 1.0)[..., None] * behind
+    shaded = np.sqrt(_dot(rest, rest) / 3) / (deviation + 0.05 * (1 - np.clip(ratio, 0, 1)) * bright)
     apart = np.where((ratio < 1) & (ratio > darkest), np.minimum(apart, 1.6 * shaded), apart)
     return 1 / (1 + np.exp(-np.clip((apart - EVEN) / SHARP, -30, 30)))
+
+
+def _dot(a: Float[Array, "height width 3"], b: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
+    return np.einsum("yxc,yxc->yx", a, b)
 
 
 def _by_color(
@@ -156,9 +160,7 @@ def _walked(
     labels = np.where(surely, 1, np.where(beside, 2, 0))
     if not surely.any() or not beside.any():
         return person
-    walked = (labels == 1).astype(float)
-    if (labels == 0).any():
-        walked = walk(colors, labels, CONTRAST / max(float(colors.std()) / 0.2, 1e-3))[0]
+    walked = walk(colors, labels, CONTRAST / max(float(colors.std()) / 0.2, 1e-3))[0]
     zoom = (image.shape[0] / walked.shape[0], image.shape[1] / walked.shape[1])
     wide = np.clip(np.asarray(ndimage.zoom(walked.astype(np.float32), zoom, order=1)), 0, 1)
     # near the edge the full picture knows better, where it knows at all
@@ -169,11 +171,27 @@ def _walked(
 
 def walk(
     colors: Float[Array, "height width 3"], labels: Int[Array, "height width"], beta: float
-) -> Float[Array, "seeds height width"]:
-    """Probability of each seed's label, 1 and on, at every pixel; none where no seed reaches, and at labels -1."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return random_walker(colors, labels, beta=beta, mode="cg_j", tol=1e-3, return_full_prob=True, channel_axis=-1)
+) -> Float[Array, "2 height width"]:
+    """Probability of the labels 1 and 2 at every pixel, those labelled 0 being open; none where no seed reaches.
+
+    `beta` counts at the deviation of all colors.
+    """
+    out = np.stack([labels == seed for seed in (1, 2)]).astype(float)
+    near = np.asarray(ndimage.binary_dilation(labels == 0, iterations=2), bool)  # farther seeds decide nothing
+    for window in ndimage.find_objects(near.astype(int)):
+        part, seeds = colors[window], np.where(near, labels, -1)[window]
+        present = [seed for seed in (1, 2) if (seeds == seed).any()]
+        probability = np.ones((1, *seeds.shape))
+        if len(present) == 2:
+            # what is walked on is scaled by the deviation of its colors
+            beta *= part.std() / max(colors.std(), 1e-6)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                probability = np.asarray(random_walker(part, seeds, beta=beta, mode="cg_j", tol=1e-3,
+                                                       return_full_prob=True, channel_axis=-1))  # fmt: skip
+        for row, seed in enumerate(present):
+            out[seed - 1][window][near[window]] = probability[row][near[window]]
+    return out
 
 
 def _whole(inside: Bool[Array, "height width"], keypoints: Keypoints, frame: int) -> Bool[Array, "height width"]:

@@ -4,10 +4,12 @@ What is done lies in OUT.partial until the capture is whole: the same command go
 """
 
 import json
+import os
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +28,8 @@ from capture.read.close_up import PartMasks
 from capture.read.folder import SourceVideo, pictures_in, write_capture
 from capture.read.from_body import cut_close_up
 from command.errors import AssetError
-from command.progress import Progress
+from command.progress import ProgressBoard, Reporter
+from command.workers import run_jobs
 from files.picture import read_picture
 from files.whole import check_folder, whole_file
 
@@ -65,12 +68,12 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
         shutil.rmtree(work)
         raise AssetError(why)
     notes = [problem.line(videos[part].name) for part, at in judged.items() for problem in at.problems]
-    raw = {}
-    for part in videos:
-        chosen = select(judged[part], given.frames)
-        notes.append(chosen.line(videos[part].name))
-        raw[part] = _prepared(given, judged[part], chosen, work / part)
-    scan = RawScan(raw)
+    chosen = {part: select(at, given.frames) for part, at in judged.items()}
+    notes += [kept.line(videos[part].name) for part, kept in chosen.items()]
+    jobs = {part: _Chosen(given, judged[part], kept, work / part) for part, kept in chosen.items()}
+    workers = min(os.cpu_count() or 1, len(jobs))
+    board = ProgressBoard({part: len(kept.frames) for part, kept in chosen.items()}, workers)
+    scan = RawScan(run_jobs(jobs, _prepared, board, workers))
     fitted = fit(scan, work / "fit")
     _write(out, scan, fitted, work, given, notes)
     shutil.rmtree(work)
@@ -99,8 +102,18 @@ def _work_folder(out: Path, given: VideoImport) -> Path:
     return work
 
 
-def _prepared(given: VideoImport, judged: Judged, chosen: KeptFrames, work: Path) -> RawVideo:
+class _Chosen(NamedTuple):
+    """What is taken of one video, for a worker process."""
+
+    given: VideoImport
+    judged: Judged
+    kept: KeptFrames
+    work: Path
+
+
+def _prepared(job: _Chosen, report: Reporter) -> RawVideo:
     """The chosen frames as pictures, with their masks."""
+    given, judged, chosen, work = job
     at = judged.glance
     images, masks = work / "images", work / "masks"
     images.mkdir(exist_ok=True)
@@ -116,7 +129,7 @@ def _prepared(given: VideoImport, judged: Judged, chosen: KeptFrames, work: Path
     if given.masks is not None:
         _given_masks(given.masks, at, chosen, paths)
     else:
-        _own_masks(judged, pictures, keypoints, paths)
+        _own_masks(judged, pictures, keypoints, paths, report)
     soft = np.stack([read_picture(path, "L") for path in paths])
     many = max(given.frames, min(TRACK, round(float(at.times[-1]) / APART)))
     track = at.keypoints.of_frames(select(judged, many).frames)
@@ -124,7 +137,9 @@ def _prepared(given: VideoImport, judged: Judged, chosen: KeptFrames, work: Path
                     at.video.focal, track)  # fmt: skip
 
 
-def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths: list[Path]) -> None:
+def _own_masks(
+    judged: Judged, pictures: list[Path], keypoints: Keypoints, paths: list[Path], report: Reporter
+) -> None:
     """Masks from the video itself."""
     missing = [i for i, path in enumerate(paths) if not path.exists()]
     if not missing:
@@ -135,10 +150,9 @@ def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths
     else:
         spread = np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), 30)).astype(int))
         plate = plate_of_free([read_picture(pictures[i]) for i in spread], keypoints.of_frames(spread))
-    report = Progress("masks", len(paths))
     for i in missing:
+        report.step(i, "masks")
         write_picture(paths[i], soft_mask(read_picture(pictures[i]), plate, keypoints, i))
-        report.update(i + 1, at.part)
 
 
 def _given_masks(folder: Path, at: Glance, chosen: KeptFrames, paths: list[Path]) -> None:

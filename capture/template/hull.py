@@ -206,7 +206,6 @@ def with_hair(
     Template faces inside the hair are dropped, with `layers` into `under_hair`; vertices keep their numbers. Hair
     vertices move with the head; above the neck they belong to the head part, below it to the body.
     """
-    estimated = capture.facts.get("input") == "from_pixels"
     head = subject.vertices[(subject.part == PARTS.index("head")) & ~subject.hair]
     scalp = scalp_of(head)
     around = np.array(AROUND)
@@ -220,7 +219,7 @@ def with_hair(
         return distance_grid(cloud, low, high, CELL, (held, scalp.neck))
 
     template = distance_of(held)
-    if estimated:
+    if capture.fitted_here:
         # no place is hair's that shoulders take when they rise
         others = (under_held_head(subject, body.axis_angle[i]) for i in even(len(body.axis_angle), RISEN))
         template = template._replace(values=np.min([template.values, *(distance_of(h).values for h in others)], 0))
@@ -230,7 +229,7 @@ def with_hair(
     # what hangs from the head moves with its bone
     views += mask_views(body, skin_transforms(body.axis_angle, subject.joints, body.root)[:, HEAD])
     pictures = None
-    if hollows and estimated:
+    if hollows and capture.fitted_here:
         # under the chin a close-up's mask is not to be believed, but hair would have hair's color there too
         films = (head_video, views[:count]), (body, views[count:])
         colored = [view for film, seen in films for view in color_views(
@@ -239,7 +238,7 @@ def with_hair(
     elif hollows:
         cameras = [view.camera for view in views[:count]]
         pictures = Pictures(subject, color_views(head_video.images, head_video.masks, cameras))
-    hair = carve(views, template, scalp, pictures, ESTIMATED if estimated else GIVEN)
+    hair = carve(views, template, scalp, pictures, ESTIMATED if capture.fitted_here else GIVEN)
     if hair is None:
         return subject
 

@@ -54,7 +54,7 @@ def turned_hand(side):
 def joints_off(truth, found, side):
     """Metres from joints of the hand to where they are."""
     own = hand.hand_joints(side)
-    return np.array([b.place[own] - a.place[own] for a, b in zip(posed_frames(truth), posed_frames(found))])
+    return posed_frames(found).place[:, own] - posed_frames(truth).place[:, own]
 
 
 @pytest.mark.parametrize("side", ["left", pytest.param("right", marks=pytest.mark.slow)])
@@ -116,7 +116,7 @@ def limbs_in_camera(truth, seen, mask, focal):
     camera, axis_angle, root = fit_pose(template_of(truth), seen, mask, focal=focal)
     ours = joint_transforms(axis_angle, truth.person.joints(truth.g), root)[:22, :3, 3]
     ours = ours @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
-    return ours, posed_frames(truth)[0].place[:22] * [1, -1, -1]
+    return ours, posed_frames(truth).place[0, :22] * [1, -1, -1]
 
 
 def test_pose_of_a_known_person_in_one_picture():

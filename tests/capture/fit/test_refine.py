@@ -219,3 +219,13 @@ def test_refined_poses_are_read_back_and_a_broken_file_is_refused(folder, captur
     np.savez(refined_path(tmp_path, "body"), frames=np.array([99]), masks_off=np.array(0.0))
     with pytest.raises(AssetError, match=r"refined_body\.npz: frames should be of the video's 4"):
         with_refined(capture, tmp_path)
+
+
+def test_poses_that_an_import_fitted_are_left_alone_unless_asked(capture, tmp_path):
+    def run(*_):
+        raise AssertionError("refined")
+
+    ours = replace(capture, facts=capture.facts | {"source": "video"})
+    assert refine_capture(ours, tmp_path, "auto", print, run) == {}
+    with pytest.raises(AssertionError, match="refined"):
+        refine_capture(ours, tmp_path, "on", print, run)

@@ -71,7 +71,7 @@ def test_scan_becomes_a_person_and_is_read_back_from_its_steps(filmed, tmp_path,
     video = fitted.videos["body"]
     assert video.axis_angle is not None and video.root is not None and video.usable.all()
     limbs = [JOINTS.index(f"left_{name}") for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")]
-    for i, frame in enumerate(posed_frames(truth)):
+    for i, frame in enumerate(posed_frames(truth).each):
         M = video.cameras[i].camera_from_world
         ours = (M @ joint_transforms(video.axis_angle[i], fitted.template.joints, video.root[i]))[limbs, :3, 3]
         assert np.linalg.norm(ours - frame.place[limbs] * [1, -1, -1], axis=1).mean() < 0.05
@@ -82,7 +82,7 @@ def test_scan_becomes_a_person_and_is_read_back_from_its_steps(filmed, tmp_path,
     wrist = JOINTS.index("left_wrist")
     close = fitted.videos["hand_left"]
     assert close.axis_angle is not None and close.root is not None
-    there = [frame.place[wrist] * [1, -1, -1] for frame in posed_frames(close_up(truth, "hand_left"))]
+    there = posed_frames(close_up(truth, "hand_left")).place[:, wrist] * [1, -1, -1]
     here = [camera.camera_from_world @ joint_transforms(pose, fitted.template.joints, root)[wrist]
             for camera, pose, root in zip(close.cameras, close.axis_angle, close.root)]  # fmt: skip
     assert np.median(np.linalg.norm(np.array(here)[:, :3, 3] - there, axis=1)) < 0.04

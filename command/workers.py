@@ -1,4 +1,4 @@
-"""Parts that learn side by side, each in a process of its own, shown on one board."""
+"""Jobs side by side, each in a process of its own, shown on one board."""
 
 import contextlib
 import multiprocessing
@@ -11,19 +11,18 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from command.errors import AssetError
 from command.interrupt import Stopped, deferred_stop, prompt_stop, signals_arrive, signals_wait
 from command.progress import ProgressBoard, Reporter
 
 T = TypeVar("T")
+U = TypeVar("U")
+Work = Callable[[T, Reporter], U]
 
 
-Work = Callable[[T, Reporter], dict]
-
-
-def run_jobs(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: int) -> dict[str, dict]:
+def run_jobs(jobs: Mapping[str, T], work: Work[T, U], board: ProgressBoard, workers: int) -> dict[str, U]:
     """work(job) of every job by name, at most `workers` at a time; with one worker in this process. Closes the board.
 
     A signal, or the failure of one job, stops the others where they can save. An interrupted run raises
@@ -35,7 +34,7 @@ def run_jobs(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: i
         board.close()
 
 
-def _in_turn(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: int) -> dict[str, dict]:
+def _in_turn(jobs: Mapping[str, T], work: Work[T, U], board: ProgressBoard, workers: int) -> dict[str, U]:
     results = {}
     for name, job in jobs.items():
         board.begin(name)
@@ -47,7 +46,7 @@ def _in_turn(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: i
     return results
 
 
-def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: int) -> dict[str, dict]:
+def _in_processes(jobs: Mapping[str, T], work: Work[T, U], board: ProgressBoard, workers: int) -> dict[str, U]:
     crew, waiting, stopping = _Crew(work, board), list(jobs), False
     try:
         with deferred_stop() as stop:
@@ -84,7 +83,7 @@ class _Crew:
         # a forked torch may hang
         self.context = multiprocessing.get_context("spawn")
         self.busy: dict[Connection, tuple[str, BaseProcess]] = {}
-        self.results: dict[str, dict] = {}
+        self.results: dict[str, Any] = {}
         self.failure: BaseException | None = None
 
     def start(self, name: str, job: object) -> None:
@@ -132,7 +131,7 @@ class _Crew:
 
 def _lost(name: str, code: int | None) -> AssetError:
     why = "killed, perhaps for want of memory" if code == -9 else f"exit code {code}"
-    return AssetError(f"{name}: its process ended unexpectedly ({why}); --resume goes on from its checkpoint")
+    return AssetError(f"{name}: its process ended unexpectedly ({why}); what was done before is kept")
 
 
 def _worker(work: Work, job: object, connection: Connection) -> None:
