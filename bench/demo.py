@@ -66,7 +66,7 @@ def stages(out: Path) -> list[Stage]:
             "train four part fields",
             run / "run.json",
             command("selfscan", "train", capture, "-o", run, "--preset", "demo", *resume),
-            6.0,
+            5.0,
         ),
         Stage("bake the avatar", avatar, command("selfscan", "bake", run, "-o", avatar, "--capture", capture), 1.5),
         Stage("film", out / "avatar.mp4", film(avatar, out / "film.toml", out / "avatar.mp4"), 0.5),

@@ -99,20 +99,20 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
 
     def bake(name: str, source: Path, product: Path) -> Stage:
         baked = command("selfscan", "bake", source, "-o", product)
-        return Stage(name, product, lambda: baked() or published(product, wanted.out, began), 1.5)
+        return Stage(name, product, lambda: baked() or published(product, wanted.out, began), 3.0)
 
     read = ["selfscan", "import", "video", *wanted.films, "-o", capture, *words_of(wanted.reading)]
     stages = [
-        Stage("read the films and fit the person", capture / "capture.json", command(*read), 8.0),
+        Stage("read the films and fit the person", capture / "capture.json", command(*read), 2.5),
         Stage("the template in the films' colors", first / "run.json",
-              command("selfscan", "train", capture, "-o", first, "--preset", "preview"), 1.0),
+              command("selfscan", "train", capture, "-o", first, "--preset", "preview"), 2.0),
         bake("first avatar", first, work / "first.glb"),
     ]  # fmt: skip
     if wanted.minutes != "4":
         resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
         short = ["--iterations", SHORT] if wanted.minutes == "15" else []
         train = command("selfscan", "train", capture, "-o", run, *map(str, short), *resume)
-        stages.append(Stage("fields of body, head and hands", run / "run.json", train, 8.0 if not short else 3.5))
+        stages.append(Stage("fields of body, head and hands", run / "run.json", train, 6.0 if not short else 3.5))
         stages.append(bake("better avatar", run, run.with_suffix(".glb")))
     return stages
 

@@ -138,7 +138,7 @@ class Preset:
 
 
 _DEMO_BODY = PartPreset(
-    iterations=900,
+    iterations=450,
     cell=0.01,
     spacing=0.01,
     band=Band(outside=0.03, inside=0.02, step=0.006),
@@ -149,7 +149,7 @@ _DEMO_BODY = PartPreset(
 )
 _DEMO_HEAD = replace(
     _DEMO_BODY,
-    iterations=2000,
+    iterations=900,
     cell=0.003,
     spacing=0.003,
     band=Band(outside=0.035, inside=0.02, step=0.006),

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Integer
 from numpy import ndarray as Array
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from bake.cores import on_all_cores
 from bake.texture.texture_solve import Equations
 
 # metres: standard deviation of the window that moves as one, farthest shift
@@ -37,31 +38,32 @@ def align_frames(
 ) -> float:
     """Move what the pixels show, in place, onto the atlas `given + change` as each frame sees it; the shifts' mean
     length, metres."""
-    width = video.width
     root = np.asarray(equations.matrix.sum(1)).ravel()
-    start, total, count = 0, 0.0, 0
-    for pixels in video.frames:
-        rows = slice(start, start + len(pixels))
-        start += len(pixels)
+    ends = np.cumsum([0, *map(len, video.frames)])
+
+    def moved(frame: int) -> float:
+        """What one frame shows, moved; the sum of its shifts, pixels."""
+        pixels, rows = video.frames[frame], slice(ends[frame], ends[frame + 1])
         if not len(pixels):
-            continue
+            return 0.0
         matrix, weight = equations.matrix[rows], root[rows, None]
         before = (matrix @ given) / weight
         # the part of the picture that holds them
-        row, column = np.divmod(pixels, width)
+        row, column = np.divmod(pixels, video.width)
         row, column = row - row.min(), column - column.min()
         known = np.zeros((row.max() + 1, column.max() + 1), bool)
         known[row, column] = True
-        drawn, frame = np.zeros((2, *known.shape, 3))
+        drawn, shown = np.zeros((2, *known.shape, 3))
         drawn[row, column] = before + (matrix @ change) / weight
-        frame[row, column] = before + equations.wanted[rows] / weight
-        shift = frame_shift(drawn, frame, known, video.pixel)
-        moved, whole = moved_colors(frame, known, shift)
-        colors = np.where(whole[..., None], moved, frame)[row, column]
+        shown[row, column] = before + equations.wanted[rows] / weight
+        shift = frame_shift(drawn, shown, known, video.pixel)
+        there, whole = moved_colors(shown, known, shift)
+        colors = np.where(whole[..., None], there, shown)[row, column]
         equations.wanted[rows] = (colors - before) * weight
-        total += float(np.linalg.norm(shift[known], axis=1).sum())
-        count += len(pixels)
-    return video.pixel * total / max(count, 1)
+        return float(np.linalg.norm(shift[known], axis=1).sum())
+
+    total = sum(on_all_cores(moved, range(len(video.frames))))
+    return video.pixel * total / max(int(ends[-1]), 1)
 
 
 def frame_shift(
