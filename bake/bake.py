@@ -18,7 +18,7 @@ from avatar.skeleton import BIG_POSE, PARTS
 from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
-from bake.cores import on_all_cores, one_thread
+from bake.cores import one_thread
 from bake.field import NumpyField, numpy_field
 from bake.layers import SurfaceLayer, collapsed, extract_layers, layered_data, layers_of
 from bake.level import (
@@ -55,6 +55,7 @@ from bake.twist import with_twist
 from capture.check.unseen import unseen_places
 from capture.folder import CaptureSubject
 from command.errors import AssetError
+from command.workers import on_all_cores
 from geometry.isosurface import Extraction, GridSteps
 from geometry.mesh import TriangleMesh, enclosed_volume
 from train.run import BakeSource, read_run

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from bake.cores import on_all_cores
+from command.workers import on_all_cores
 from geometry.isosurface import Detail
 from train.fused import CanonicalField
 

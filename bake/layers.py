@@ -32,8 +32,8 @@ class SurfaceLayer(NamedTuple):
 
 def layers_of(field: NumpyField, subject: CaptureSubject, origin: SourceSurface) -> list[SurfaceLayer]:
     """The layers of a run's surface, the body first."""
-    whole = solid_inside(field.distance, subject)
     distance = template_behind_cloth(field.distance, subject)
+    whole = solid_inside(distance, subject)
     divided = hair_layers(subject, whole) if origin.layer.any() else None
     if divided is None:
         return [SurfaceLayer(whole, distance, field.normal)]

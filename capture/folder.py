@@ -18,6 +18,7 @@ from avatar.skinning import SkinWeights, skin_points
 from capture.frame_files import FrameFiles, Frames, sized_picture
 from capture.videos import Videos
 from command.errors import AssetError
+from command.workers import on_all_cores
 from files.input_file import read_json_object
 from files.npz import field, read_npz
 from files.picture import read_picture
@@ -330,8 +331,9 @@ def _read_frames(
         return [path.name for path in paths], cast(Frames, FrameFiles(tuple(paths), first.shape[:2]))
     frames = np.empty((len(paths), *first.shape), first.dtype)
     frames[0], size = first, (first.shape[1], first.shape[0])
-    for i, path in enumerate(paths[1:], 1):
-        frames[i] = kept(sized_picture(path, size, "as the first frame", mode, ("PNG",)))
+    read = lambda path: kept(sized_picture(path, size, "as the first frame", mode, ("PNG",)))
+    for i, pixels in enumerate(on_all_cores(read, paths[1:]), 1):
+        frames[i] = pixels
     return [path.name for path in paths], frames
 
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from capture.folder import PartVideo
 
 # bytes of videos that are kept once they were read; the last one always is
-KEPT = 400_000_000
+KEPT = 800_000_000
 
 
 class Videos(Mapping[str, "PartVideo"]):

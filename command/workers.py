@@ -1,4 +1,4 @@
-"""Jobs side by side, each in a process of its own, shown on one board."""
+"""Work side by side: jobs in a process each, shown on one board; pieces of one job in threads."""
 
 import contextlib
 import multiprocessing
@@ -7,7 +7,9 @@ import multiprocessing.resource_tracker
 import os
 import signal
 import traceback
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -20,6 +22,19 @@ from command.progress import ProgressBoard, Reporter
 T = TypeVar("T")
 U = TypeVar("U")
 Work = Callable[[T, Reporter], U]
+
+
+def on_all_cores(function: Callable[[T], U], items: Iterable[T]) -> Iterator[U]:
+    """What `function` gives for each item, in their order; items are asked for only as cores become free."""
+    count = os.cpu_count() or 1
+    waiting = deque()
+    with ThreadPoolExecutor(count) as cores:
+        for item in items:
+            waiting.append(cores.submit(function, item))
+            if len(waiting) > count:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
 
 
 def run_jobs(jobs: Mapping[str, T], work: Work[T, U], board: ProgressBoard, workers: int) -> dict[str, U]:

@@ -29,6 +29,7 @@ EXAMPLES = """examples
   selfscan play me.glb --capture my_capture                 against the video it was made from
   selfscan play me.glb --live vmc:39539                     posed by a sender
   selfscan play --scene two.toml                            as a scene file says
+  selfscan play me.glb --follow                             while `selfscan make` works on it
   selfscan play me.glb --budget 8ms                         the best that takes 8 ms a frame
 """
 
@@ -71,6 +72,9 @@ class PlayCommand:
     part: Annotated[str, WHO.rare, OneOf(PARTS), "which video of the capture"] = "body"
     camera_path: Annotated[str | None, CAMERA.rare, Option(metavar="FILE"),
         "a path of camera keys (.json) to look along"] = None
+    follow: Annotated[bool, WHO,
+        "show an avatar's file anew as soon as it is replaced: `selfscan make` writes a better one over the first"
+    ] = False
     body: Annotated[arguments.BodyOption, WHO.rare] = None
     hands: Annotated[arguments.HandsOption, WHO.rare] = "file"
     ground: Annotated[arguments.GroundOption, WHO.rare] = "auto"
@@ -191,6 +195,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             show, size=scene.size or (1280, 800), null=command.platform == "null", panels=command.gui,
             script=None if command.script is None else command.script.split(), screenshot=command.screenshot,
             budget=None if command.budget is None else (command.budget, [entry.path for entry in scene.avatars]),
+            followed=scene if command.follow else None,
         )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ ABOUT = Help(
     "selfscan make",
     """Make an avatar of films of one person, four or the body's alone: read them, fit the person, and write a first
 avatar, textures solved from the films; then train the fields of the paper and write a better one over it. `selfscan
-play` shows the first while the second is made. Stopped, the same command goes on where it was.""",
+play --follow` shows the first while the second is made, and then the second. Stopped, the same command goes on where it was.""",
     """example:
   selfscan make me -o me.glb --stature 1.78       me/ has body.mp4, head.mp4, left.mp4, right.mp4 and keypoints/
   selfscan make me -o me.glb --minutes 4          the first avatar alone""",
@@ -88,7 +88,8 @@ def published(product: Path, out: Path, began: float) -> int:
     """Put a finished avatar where the user wants it, whole, and say how long it took."""
     with open(product, "rb") as source, whole_file(out, "wb") as file:
         shutil.copyfileobj(source, file)
-    print(f"\n{out}: ready after {clock_time(time.monotonic() - began)}; look at it: selfscan play {out}", flush=True)
+    taken = clock_time(time.monotonic() - began)
+    print(f"\n{out}: ready after {taken}; look at it: selfscan play {out} --follow", flush=True)
     return 0
 
 

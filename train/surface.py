@@ -12,7 +12,7 @@ from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
 from capture.template.layers import HAIR, LEAST_HAIR, hair_layers
 from capture.template.parts import Part
-from capture.template.solid import solid_inside
+from capture.template.solid import solid_inside, template_behind_cloth
 from geometry.isosurface import Detail, zero_set_mesh
 from geometry.mesh import TriangleMesh, concatenated, largest_component, separate_pieces
 from train.fused import FusedField
@@ -78,7 +78,7 @@ def extract_surface(
     Raises:
         ValueError: the field has no zero crossing in the box.
     """
-    distance = solid_inside(lambda points: _ask(field, points), subject)
+    distance = solid_inside(template_behind_cloth(lambda points: _ask(field, points), subject), subject)
     axes = grid_axes(parts, body_cell, head_cell, hand_cell, field.details())
     thin = [np.unique(np.r_[axis[::4], axis[-1]]) for axis in axes]
     coarse = distance(np.stack(np.meshgrid(*thin, indexing="ij"), -1).reshape(-1, 3))

@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Integer
 from numpy import ndarray as Array
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from bake.cores import on_all_cores
 from bake.texture.texture_solve import Equations
+from command.workers import on_all_cores
 
 # metres: standard deviation of the window that moves as one, farthest shift
 WINDOW, FARTHEST = 0.025, 0.02

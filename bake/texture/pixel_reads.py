@@ -21,13 +21,13 @@ from avatar.rotation import unit_or_zero
 from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from avatar.skinning import SkinWeights, blended_transforms, dense_weights
 from bake.cone import ViewCone, clamped_tangent
-from bake.cores import on_all_cores
 from bake.field import NumpyField
 from bake.level import Charted, lifted
 from bake.network import Distilled, SurfacePoints
 from bake.texture.texels import TexelMap, rasterise_charts
 from capture.folder import PartVideo
 from capture.template.hull import moved_camera
+from command.workers import on_all_cores
 from geometry.cells import nearest_marked
 from geometry.mesh import blended, component_labels
 from player.draw.raster import Fragments, Rasteriser

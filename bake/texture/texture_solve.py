@@ -18,8 +18,8 @@ from jaxtyping import Float, Integer
 from numpy import ndarray as Array
 from scipy.sparse import csr_matrix, diags
 
-from bake.cores import on_all_cores
 from bake.texture.texels import TexelMap
+from command.workers import on_all_cores
 from geometry.least_squares import factorised
 
 ROUNDS = 12

@@ -17,7 +17,6 @@ from scipy.sparse import csr_matrix
 from avatar.camera import Camera
 from avatar.rotation import unit_or_zero
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS, joint_transforms
-from bake.cores import on_all_cores
 from bake.level import BakedLevel, PlacesOnFinest, rounded, with_picture
 from bake.promises import Facts
 from bake.run_capture import RunVideos
@@ -45,6 +44,7 @@ from bake.texture.texture_solve import (
     within_shown,
 )
 from capture.folder import PartVideo
+from command.workers import on_all_cores
 from geometry.mesh import TriangleMesh, blended, face_areas
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context

@@ -109,8 +109,6 @@ def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunct
     if len(hands):
         limit = np.where(KDTree(hands).query(places)[0] < 0.12, np.minimum(limit, 0.006), limit)
 
-    distance = template_behind_cloth(distance, subject)
-
     def solid(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         """Signed distance at canonical points, metres; deep inside, minus the way to the outer surface."""
         value = distance(points)

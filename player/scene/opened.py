@@ -37,13 +37,19 @@ def opened_tracks(
 ) -> list[Track]:
     """The motion of each avatar in its place, as it is seen through these cameras. One that is posed live stands; the
     first, where it has no motion, moves as in the video of the capture."""
-    tracks = [
-        _track(entry, avatar, ground_for(entry.ground, cameras), capture if index == 0 else None)
-        for index, (entry, avatar) in enumerate(zip(scene.avatars, avatars, strict=True))
-    ]
-    for track, avatar in zip(tracks, avatars, strict=True):
-        track.joints, track.foot_lock = avatar.joint_positions, scene.effects.foot_lock
-    return tracks
+    assert len(avatars) == len(scene.avatars)
+    return [opened_track(scene, index, avatar, capture, cameras) for index, avatar in enumerate(avatars)]
+
+
+def opened_track(
+    scene: Scene, index: int, avatar: Avatar, capture: CaptureView | None, cameras: Sequence[SceneCamera] | None = None
+) -> Track:
+    """The motion of one avatar of a scene; `cameras` are the scene's, where no others are named."""
+    entry = scene.avatars[index]
+    ground = ground_for(entry.ground, scene.cameras if cameras is None else cameras)
+    track = _track(entry, avatar, ground, capture if index == 0 else None)
+    track.joints, track.foot_lock = avatar.joint_positions, scene.effects.foot_lock
+    return track
 
 
 def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView | None) -> Track:

@@ -52,6 +52,10 @@ class Appearance:
     def follow_size(self, on: bool) -> None:
         """Levels of detail by size on screen, or not."""
         self.by_size = on
+        self.renew()
+
+    def renew(self) -> None:
+        """Make what is drawn anew: avatars are others, or otherwise chosen."""
         self._change(self.effects, self.background, self.rung, anew=True)
 
     def _change(self, effects: Effects, background: Background, rung: Rung, *, anew: bool = False) -> None:

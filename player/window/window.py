@@ -15,12 +15,14 @@ import moderngl
 
 from command.interrupt import StopRequest, deferred_stop
 from player.scene.cameras import moved_into
+from player.scene.scene import Scene
 from player.window.budgeted import Budgeted
 from player.window.keyboard import Keyboard
 from player.window.panels.panels import Panels
 from player.window.parts import opened_parts
 from player.window.pointer import Pointer
 from player.window.recorder import save_picture
+from player.window.renewal import Renewal
 from player.window.screen import Screen
 from player.window.script import RATE, steps
 from player.window.show import Show
@@ -47,9 +49,10 @@ class Window:
         panels: bool = True,
         clock: Clock = time.perf_counter,
         budget: tuple[float, Sequence[str]] | None = None,
+        followed: Scene | None = None,
     ):
         """panels: whether they are shown at first. budget: milliseconds of a frame's own work, and the files of the
-        avatars, by which its prices are kept."""
+        avatars, by which its prices are kept. followed: the scene whose avatars' files may be replaced."""
         self.clock, self.screen = clock, Screen(size, null=null)
         self.parts = opened_parts(show, self.screen, clock)
         self.keyboard, self.pointer = Keyboard(self.parts), Pointer(self.parts)
@@ -65,6 +68,7 @@ class Window:
         self._stirred, self._answers = clock(), ANSWERS
         if budget is not None:
             self.parts.budget = self._budgeted(*budget)
+        self.renewal = None if followed is None else Renewal(followed)
         self._connect()
 
     def _budgeted(self, budget: float, files: Sequence[str]) -> Budgeted:
@@ -157,6 +161,8 @@ class Window:
         if not (size[0] and size[1]):
             return
         parts, last = self.parts, self.parts.state.last
+        if self.renewal is not None:
+            self.renewal.take(parts)
         screen = self.screen.begin()
         for track in parts.state.playback.tracks:
             track.foot_lock = parts.look.effects.foot_lock
@@ -231,6 +237,7 @@ class Window:
             glfw.wait_events_timeout(STILL)
             stop.check()
             changed = self._stirred != before or self.parts.state.messages.shown != shown
+            changed |= self.renewal is not None and bool(self.renewal.due())
             # a tooltip waits for the pointer to rest, a text field blinks
             if changed or self.clock() - self._stirred < LINGER or self.panels.typing or self._ends:
                 break
@@ -277,13 +284,14 @@ def play(
     script: Sequence[str] | None,
     screenshot: str | None,
     budget: tuple[float, Sequence[str]] | None = None,
+    followed: Scene | None = None,
 ) -> int:
     """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown."""
     if script is not None:
         steps(script)
     try:
         with deferred_stop(patience=0) as stop:
-            window = Window(show, size=size, null=null, panels=panels, budget=budget)
+            window = Window(show, size=size, null=null, panels=panels, budget=budget, followed=followed)
     except BaseException:
         show.playback.close()
         # with the window, where there is one already

@@ -64,7 +64,8 @@ def open_window(osmesa, avatar_path, tmp_path, monkeypatch):
     def opened(*more, size=(900, 640), live=(), script=""):
         arguments = [avatar_path, *more, *(("--live", "udp:1") if live else ())]
         scene = scene_of(parse(PlayCommand, arguments, PLAY))
-        windows.append(Window(opened_show(scene, opened_avatars(scene), live), size=size, null=True))
+        followed = scene if "--follow" in more else None
+        windows.append(Window(opened_show(scene, opened_avatars(scene), live), size=size, null=True, followed=followed))
         windows[-1].run(script.split(), keep=True)
         return windows[-1]
 
