@@ -27,7 +27,8 @@ ABOUT = Help(
     "selfscan make",
     """Make an avatar of films of one person, four or the body's alone: read them, fit the person, and write a first
 avatar, textures solved from the films; then train the fields of the paper and write a better one over it. `selfscan
-play --follow` shows the first while the second is made, and then the second. Stopped, the same command goes on where it was.""",
+play --follow` shows the first while the second is made, and then the second. Stopped, the same command goes on where it
+was.""",
     """example:
   selfscan make me -o me.glb --stature 1.78       me/ has body.mp4, head.mp4, left.mp4, right.mp4 and keypoints/
   selfscan make me -o me.glb --minutes 4          the first avatar alone""",
