@@ -35,6 +35,7 @@ from bake.texture.pixel_reads import (
 from bake.texture.seams import edge_reads
 from bake.texture.texels import TexelMap, atlas_areas, barycentric, spread
 from bake.texture.texture_solve import (
+    ROUNDS,
     Equations,
     Prior,
     ShownRange,
@@ -133,7 +134,9 @@ def solve_texture(
     stay = STAY * (found.texel / found.pixel[found.part]) ** STAY_POWER
     smooth = SMOOTH if change is None and not videos.estimated else SMOOTH_UNSURE
     prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
-    solution = solve_change(found.equations, prior, pairs, stiff=seams)
+    # what frames are moved onto need not be solved to the end
+    rounds = ROUNDS // 2 if videos.estimated else ROUNDS
+    solution = solve_change(found.equations, prior, pairs, stiff=seams, rounds=rounds)
     if videos.estimated:
         for name, own, video in zip(PARTS, found.equations, found.shown, strict=True):
             facts[name]["moved_mm"] = rounded(align_frames(own, video, given, solution) * 1e3)

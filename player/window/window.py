@@ -54,6 +54,7 @@ class Window:
         """panels: whether they are shown at first. budget: milliseconds of a frame's own work, and the files of the
         avatars, by which its prices are kept. followed: the scene whose avatars' files may be replaced."""
         self.clock, self.screen = clock, Screen(size, null=null)
+        self.renewal = None if followed is None else Renewal(followed)
         self.parts = opened_parts(show, self.screen, clock)
         self.keyboard, self.pointer = Keyboard(self.parts), Pointer(self.parts)
         self.parts.state.layout.panels_on = panels
@@ -68,7 +69,6 @@ class Window:
         self._stirred, self._answers = clock(), ANSWERS
         if budget is not None:
             self.parts.budget = self._budgeted(*budget)
-        self.renewal = None if followed is None else Renewal(followed)
         self._connect()
 
     def _budgeted(self, budget: float, files: Sequence[str]) -> Budgeted:

@@ -14,7 +14,7 @@ BUDGET = {
     "geometry": 1_723,
     "capture": 11_821,
     "train": 5_668,
-    "bake": 4_513,
+    "bake": 4_516,
     "player": 18_766,
     "shaders": 1_036,
     "synth": 2_688,
