@@ -19,6 +19,7 @@ the fingers' rotations are carried along with the palm. The forearm's turn is sh
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,11 @@ class MhrRig:
     parents: tuple[int, ...] = tuple(-1 if n == "pelvis" else NAMES.index(_parent(n)) for n in NAMES)
     ends: tuple[tuple[int, tuple[float, float, float]], ...] = ()
 
+    @cached_property
+    def alignment(self) -> Alignment:
+        """How our bones lie along MHR's."""
+        return mhr_alignment(self.joints)
+
     @property
     def rest_positions(self) -> Float[Array, "joints 3"]:
         """The places of the first frame: only lengths are taken from them."""
@@ -142,7 +148,7 @@ class MhrRig:
     def _share_forearm(self, G: Float[Array, "frames joints 3 3"], side: str) -> None:
         """Give the elbow its part of the forearm's turn; in place."""
         elbow, wrist = NAMES.index(f"{side}_elbow"), NAMES.index(f"{side}_wrist")
-        A = mhr_alignment(self.joints).limbs
+        A = self.alignment.limbs
         relative = np.swapaxes(G[:, elbow] @ A[f"{side}_elbow"], -1, -2) @ G[:, wrist] @ A[f"{side}_wrist"]
         bone = unit_or_zero(self.joints[J[f"{side}_wrist"]] - self.joints[J[f"{side}_elbow"]])
         angle = twist_about(relative, bone)

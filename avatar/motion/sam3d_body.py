@@ -18,7 +18,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, spread_frames
-from avatar.motion.mhr_rig import MHR_JOINTS, NUMBERS, MhrRig, mhr_alignment, off_bones
+from avatar.motion.mhr_rig import MHR_JOINTS, NUMBERS, MhrRig, off_bones
 from avatar.motion.read import frame_files
 from avatar.motion.retarget import retarget
 from command.errors import AssetError
@@ -79,7 +79,7 @@ def read_sam3d_body(path: Path | str, skeleton: RestSkeleton | None = None) -> M
     if frames > 1:
         notes.append(f"no frame rate in the files: {ASSUMED_RATE:g} frames per second assumed")
     rig = MhrRig(path, frames, ASSUMED_RATE, read, skeleton.joints.astype(np.float64))
-    return retarget(rig, skeleton, up_known=True, assumed=tuple(notes), alignment=mhr_alignment(rig.joints))
+    return retarget(rig, skeleton, up_known=True, assumed=tuple(notes), alignment=rig.alignment)
 
 
 def _opened(path: Path, notes: list[str]) -> tuple[int, Rows, bool]:

@@ -10,7 +10,7 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_391,
     "command": 1_280,
-    "avatar": 8_439,
+    "avatar": 8_445,
     "geometry": 1_723,
     "capture": 11_821,
     "train": 5_668,
