@@ -189,13 +189,13 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             for address, indices in _addresses(scene, command)
         ]
         show = opened_show(scene, avatars, live)
+        show.followed = scene if command.follow else None
         for note in show.notes:
             print(note)
         return play(
             show, size=scene.size or (1280, 800), null=command.platform == "null", panels=command.gui,
             script=None if command.script is None else command.script.split(), screenshot=command.screenshot,
             budget=None if command.budget is None else (command.budget, [entry.path for entry in scene.avatars]),
-            followed=scene if command.follow else None,
         )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ def projected(estimate: Estimate, footage: Footage, frames: Posed) -> Float[Arra
 
 def add_keypoints(
     equations: NormalEquations, estimate: Estimate, footage: Footage, frames: Posed, cut: float
-) -> float:  # fmt: skip
+) -> float:
     """Add the term with c = `cut` standard deviations; returns its cost."""
     layout, points, sure = shared_layout(estimate, footage), estimate.markers(footage), footage.sure
     at, moves = pixel_rows(estimate.camera(footage), skinned(frames, points))
@@ -33,7 +33,7 @@ def add_keypoints(
         shared = np.zeros((*e.shape, layout.count))
         shared[..., layout.g] = shape_rows(frames, points, c)
         own = (c[..., None, :] @ frames.R[:, points.joints[:, 0]])[..., 0, :]
-        bias = shared[..., layout.bias].reshape(*e.shape, count, 3)
+        bias = np.zeros((*e.shape, count, 3))
         bias[:, every, every] = own
         shared[..., layout.bias] = bias.reshape(*e.shape, 3 * count)
         shared[..., layout.focal] = at[..., axis] - footage.centre[axis]

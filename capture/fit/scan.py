@@ -79,11 +79,11 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
     usable = check_fit("body", estimate, body.sides_restored(estimate, footage))
     found["body"] = posed_video(estimate, footage, usable, level=True)
 
-    estimate, closer, told = _closer(scan.videos["body"], footages, phone, estimate, fit)
+    estimate, closer, said = _with_close_ups(scan.videos["body"], footages, phone, estimate, fit)
     joints = estimate.person.joints(estimate.g)
     # a body's video shows a face well enough, but fingers as some pixels
     found |= {part: closer[part] if part in closer else carried(part, found["body"], joints) for part in PARTS[1:]}
-    notes += told
+    notes += said
     for part, fitted in found.items():
         if not fitted.usable.all():
             bad = scan.videos.get(part, scan.videos["body"]).frames[~fitted.usable]
@@ -105,7 +105,7 @@ class _CloseUps(NamedTuple):
     filmed: bool  # or cut from the body's video, which may show too little
 
 
-class _Closer(NamedTuple):
+class _SeenClose(NamedTuple):
     """What close-ups add to the body: coefficients, offsets and their videos; or why there is nothing."""
 
     g: Float[Array, "g"]
@@ -114,7 +114,7 @@ class _Closer(NamedTuple):
     failure: str = ""
 
 
-def _fit_close_ups(job: _CloseUps, reporter: Reporter) -> _Closer:
+def _fit_close_ups(job: _CloseUps, reporter: Reporter) -> _SeenClose:
     fit, estimate, videos = _Fit(job.work, reporter.step, job.before), job.estimate, {}
     person, g = estimate.person, estimate.g
     try:
@@ -123,11 +123,11 @@ def _fit_close_ups(job: _CloseUps, reporter: Reporter) -> _Closer:
     except AssetError as error:
         if job.filmed:
             raise
-        return _Closer(np.zeros_like(g), np.zeros_like(person.offsets), {}, str(error))
-    return _Closer(estimate.g - g, estimate.person.offsets - person.offsets, videos)
+        return _SeenClose(np.zeros_like(g), np.zeros_like(person.offsets), {}, str(error))
+    return _SeenClose(estimate.g - g, estimate.person.offsets - person.offsets, videos)
 
 
-def _closer(
+def _with_close_ups(
     body: RawVideo, footages: Mapping[str, Footage], phone: Focal, estimate: Estimate, fit: "_Fit"
 ) -> tuple[Estimate, dict[str, FittedVideo], list[str]]:
     """The person with head and hands as their videos show them, those videos, and what is worth saying."""
@@ -146,8 +146,8 @@ def _closer(
     offsets = person.offsets + sum(each.offsets for each in done.values())
     estimate = replace(estimate, person=person.with_offsets(offsets),
                        g=estimate.g + sum(each.g for each in done.values()))  # fmt: skip
-    told = [f"{name}: as the body holds it: {each.failure}" for name, each in done.items() if each.failure]
-    return estimate, videos, told
+    said = [f"{name}: as the body holds it: {each.failure}" for name, each in done.items() if each.failure]
+    return estimate, videos, said
 
 
 class _Fit:

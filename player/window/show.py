@@ -39,6 +39,8 @@ class Show:
     follow: bool = False
     # coarser levels of detail where avatars are small
     level_by_size: bool = False
+    # whose avatars' files may be replaced while they are shown; None: they are not looked at again
+    followed: Scene | None = None
     # what was assumed, for printing
     notes: list[str] = field(default_factory=list)
 

@@ -15,7 +15,6 @@ import moderngl
 
 from command.interrupt import StopRequest, deferred_stop
 from player.scene.cameras import moved_into
-from player.scene.scene import Scene
 from player.window.budgeted import Budgeted
 from player.window.keyboard import Keyboard
 from player.window.panels.panels import Panels
@@ -49,12 +48,11 @@ class Window:
         panels: bool = True,
         clock: Clock = time.perf_counter,
         budget: tuple[float, Sequence[str]] | None = None,
-        followed: Scene | None = None,
     ):
         """panels: whether they are shown at first. budget: milliseconds of a frame's own work, and the files of the
-        avatars, by which its prices are kept. followed: the scene whose avatars' files may be replaced."""
+        avatars, by which its prices are kept."""
         self.clock, self.screen = clock, Screen(size, null=null)
-        self.renewal = None if followed is None else Renewal(followed)
+        self.renewal = None if show.followed is None else Renewal(show.followed)
         self.parts = opened_parts(show, self.screen, clock)
         self.keyboard, self.pointer = Keyboard(self.parts), Pointer(self.parts)
         self.parts.state.layout.panels_on = panels
@@ -284,14 +282,13 @@ def play(
     script: Sequence[str] | None,
     screenshot: str | None,
     budget: tuple[float, Sequence[str]] | None = None,
-    followed: Scene | None = None,
 ) -> int:
     """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown."""
     if script is not None:
         steps(script)
     try:
         with deferred_stop(patience=0) as stop:
-            window = Window(show, size=size, null=null, panels=panels, budget=budget, followed=followed)
+            window = Window(show, size=size, null=null, panels=panels, budget=budget)
     except BaseException:
         show.playback.close()
         # with the window, where there is one already

@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 11_821,
     "train": 5_668,
     "bake": 4_516,
-    "player": 18_766,
+    "player": 18_765,
     "shaders": 1_036,
     "synth": 2_688,
     "bench": 5_852,
     "selfscan": 396,
-    "tests": 35_732,
+    "tests": 35_744,
 }
 
 

@@ -68,3 +68,14 @@ def test_batches_of_candidates_change_nothing(monkeypatch):
     monkeypatch.setattr("geometry.rasterise.CANDIDATES", 500)
     parts = rasterise(body.vertices, body.faces, camera)
     assert np.array_equal(whole.depth, parts.depth) and (whole.face >= 0).sum() > 300
+
+
+def test_pixels_that_are_asked_for_see_what_they_see_in_the_whole_picture():
+    body = builtin_body("male")
+    camera = orbit_camera(body.vertices.mean(0), 2.6, 0.4, 0.1, (90, 120))
+    whole, asked = rasterise(body.vertices, body.faces, camera), np.zeros((120, 90), bool)
+    asked.ravel()[np.random.default_rng(0).integers(0, asked.size, 300)] = True
+    some = rasterise(body.vertices, body.faces, camera, asked=asked)
+    assert (whole.face[asked] >= 0).sum() > 20
+    assert np.array_equal(some.face[asked], whole.face[asked]) and np.array_equal(some.depth[asked], whole.depth[asked])
+    assert (some.face < 0).sum() > (whole.face < 0).sum()  # what no pixel asks for is not drawn

@@ -64,8 +64,9 @@ def open_window(osmesa, avatar_path, tmp_path, monkeypatch):
     def opened(*more, size=(900, 640), live=(), script=""):
         arguments = [avatar_path, *more, *(("--live", "udp:1") if live else ())]
         scene = scene_of(parse(PlayCommand, arguments, PLAY))
-        followed = scene if "--follow" in more else None
-        windows.append(Window(opened_show(scene, opened_avatars(scene), live), size=size, null=True, followed=followed))
+        show = opened_show(scene, opened_avatars(scene), live)
+        show.followed = scene if "--follow" in more else None
+        windows.append(Window(show, size=size, null=True))
         windows[-1].run(script.split(), keep=True)
         return windows[-1]
 
