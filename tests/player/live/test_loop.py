@@ -209,14 +209,14 @@ def test_a_listener_meets_odd_connections_without_a_word_and_then_takes_a_pose(c
 
 
 def test_silent_senders_give_their_place_to_a_new_one(web_socket, monkeypatch):
-    monkeypatch.setattr("player.live.receiver.SILENT", 0.3)
     inbox, url = web_socket
+    monkeypatch.setattr("player.live.receiver.SILENT", 3600.0)
     with ExitStack() as senders:
         silent = [senders.enter_context(connect(url)) for _ in range(8)]
         early = senders.enter_context(connect(url))
         with pytest.raises(ConnectionClosed, match="too many senders"):
             early.recv(timeout=5)
-        time.sleep(0.5)
+        monkeypatch.setattr("player.live.receiver.SILENT", 0.0)
         sender = senders.enter_context(connect(url))
         sender.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.0, sequence=0))
         assert inbox.wait(0, 10)
