@@ -44,7 +44,8 @@ def find_ground(motion: Motion, hull: BodyHull) -> GroundLevel:
     heights = _lowest_points(motion, hull)
     if not len(heights):
         return GroundLevel(0.0, "ground: not looked for, no frame could be read")
-    low = float(np.percentile(heights, LOWEST))
+    # as np.percentile, which imports masked arrays: 30 ms of a first picture
+    low = float(np.interp(LOWEST / 100 * (len(heights) - 1), np.arange(len(heights)), np.sort(heights)))
     standing = heights[(heights >= low) & (heights <= low + BAND)]
     touching = float((heights <= low + BAND).mean())
     level = float(np.median(standing)) if len(standing) else low
