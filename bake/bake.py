@@ -105,10 +105,9 @@ def bake_run(
     if videos is None:
         options = replace(options, texture_from="field")
     clock = _Clock(report)
-    field = numpy_field(run.field)
     joints = np.asarray(run.subject.joints, np.float64)
     origin = run_surface(run.surface, len(joints))
-    layers, extraction = extracted(run, origin, field, options, clock)
+    field, layers, extraction, given_up = extracted(run, origin, options, clock)
     baked = bake_levels(extraction, layers, origin, field, joints, options, clock)
     levels, distilled = [loosened(level, run.subject) for level in baked.levels], baked.distilled
     facts: Facts = {
@@ -117,6 +116,7 @@ def bake_run(
         "quality": options.quality,
         "seed": options.seed,
         "surface": surface_facts(extraction),
+        "template_kept": given_up,
         "seen_share": rounded(float((origin.cone.seen > 0.5).mean())),
         "texture_from": options.texture_from,
         "distilled_db": {k: rounded(v) for k, v in distilled.decibels.items()},
@@ -164,24 +164,47 @@ def surface_facts(extraction: Extraction) -> Facts:
     }
 
 
-def extracted(
-    run: BakeSource, origin: SourceSurface, field: NumpyField, options: BakeOptions, clock: "_Clock"
-) -> tuple[list[SurfaceLayer], Extraction]:
-    """The layers of a run and their zero sets as one mesh.
+class Extracted(NamedTuple):
+    """A run's surface."""
+
+    field: NumpyField  # whose surface it is
+    layers: list[SurfaceLayer]
+    extraction: Extraction
+    # parts whose template stands in for what they learned, and why
+    given_up: dict[str, str]
+
+
+def extracted(run: BakeSource, origin: SourceSurface, options: BakeOptions, clock: "_Clock") -> Extracted:
+    """The layers of a run and their zero sets as one mesh. A part that breaks off goes back to its template.
 
     Raises:
-        AssetError: a part of the run's surface has none of it near.
+        AssetError: there is no surface, or a part of it breaks off that learned nothing.
     """
-    layers = layers_of(field, run.subject, origin)
     steps = GridSteps(options.body_step, options.fine_step)
-    extraction = extract_layers(layers, origin, origin.part != PARTS.index("body"), steps, field.details)
-    check_complete(extraction.mesh, origin.vertices, origin.part)
+    field, given_up = run.field, {}
+    while True:
+        asked = numpy_field(field)
+        layers = layers_of(asked, run.subject, origin)
+        try:
+            extraction = extract_layers(layers, origin, origin.part != PARTS.index("body"), steps, asked.details)
+            broken = broken_parts(extraction.mesh, origin.vertices, origin.part)
+        except AssetError as fault:
+            extraction, broken = None, dict.fromkeys(PARTS, str(fault))
+        broken = {part: why for part, why in broken.items() if part not in given_up}
+        if extraction is not None and not broken:
+            break
+        why = "; ".join(dict.fromkeys(broken.values()))
+        if not broken or run.with_templates is None:
+            raise AssetError(f"surface: {why or 'breaks, with the template as well'}")
+        clock.report(f"surface: {why}: the template stays for {', '.join(broken)}")
+        given_up |= broken
+        field = run.with_templates(given_up)
     clock(
         f"surface: {len(extraction.mesh.faces)} triangles on the zero set (1 in 1000 farther than "
         f"{extraction.residual * 1e3:.3f} mm, {extraction.queries / 1e6:.1f} M distances, "
         f"{extraction.islands} islands dropped)"
     )
-    return layers, extraction
+    return Extracted(asked, layers, extraction, given_up)
 
 
 def unseen_lines(run: BakeSource, surface: SourceSurface) -> list[str]:
@@ -255,25 +278,21 @@ def run_surface(surface: Surface, joint_count: int) -> SourceSurface:
     return SourceSurface(vertices, faces, np.asarray(surface.part, np.int64), cone, weights, layer)
 
 
-def check_complete(
+def broken_parts(
     mesh: TriangleMesh,
     vertices: Float[np.ndarray, "vertices 3"],
     part: Integer[np.ndarray, "vertices"],
     limit: float = 0.03,
-) -> None:
-    """Every part of the run's surface must have the extracted one within `limit` metres, else a part broke off.
-
-    Raises:
-        AssetError: more than a tenth of a part's vertices have not.
-    """
+) -> dict[str, str]:
+    """The parts of a run's surface of which more than a tenth lies farther than `limit` metres from the mesh, with why
+    they count as broken off."""
     away, _ = KDTree(mesh.vertices).query(vertices, workers=-1)
-    for label in np.unique(part):
-        missing = float((away[part == label] > limit).mean())
-        if missing > 0.1:
-            raise AssetError(
-                f"surface: {PARTS[int(label)]} should be one piece with the rest, but {missing * 100:.0f} % of it "
-                f"is more than {limit * 100:.0f} cm from the largest piece (the field breaks there)"
-            )
+    missing = {PARTS[int(label)]: float((away[part == label] > limit).mean()) for label in np.unique(part)}
+    return {
+        name: f"{share * 100:.0f} % of {name} is more than {limit * 100:.0f} cm from the largest piece"
+        for name, share in missing.items()
+        if share > 0.1
+    }
 
 
 def level_plan(options: BakeOptions) -> list[tuple[int, int]]:

@@ -31,6 +31,8 @@ class RunVideos:
     lights: dict[str, CaptureLight]
     # poses were estimated, not made: frames may show things beside their places
     estimated: bool
+    # canonical height of the chin, metres, where they were and the head was filmed
+    chin: float | None
 
     def video(self, part: str) -> PartVideo:
         """One video, in the poses that training ended with; one at a time, for they are large."""
@@ -61,9 +63,11 @@ def run_videos(path: Path, facts: Facts, given: Path | None) -> RunVideos:
     same = digest == capture_digest(folder)
     if given is None and not same:
         raise AssetError(f"{folder}: expected the capture that {path} was trained on ({digest}), found another: {ways}")
+    capture = read_capture(folder, parts=("head",), frames_on_demand=True)
+    estimated = capture.facts.get("pose_noise_deg") != 0
     videos = RunVideos(
         folder, path if same else None, matrix_of(path, facts, "head_from_canonical"), lights_of(path, facts),
-        estimated=read_capture(folder, parts=()).facts.get("pose_noise_deg") != 0,
+        estimated, capture.chin if estimated else None,
     )  # fmt: skip
     if not same:
         _check_head(videos, path)

@@ -103,6 +103,12 @@ class Capture:
     videos: Mapping[str, PartVideo]
 
     @property
+    def chin(self) -> float | None:
+        """Canonical height, metres, of the lowest landmark of the head; None where no video of the head has any."""
+        marked = self.videos["head"].landmark_vertices if "head" in self.videos else None
+        return None if marked is None else float(self.subject.vertices[marked, 1].min())
+
+    @property
     def fitted_here(self) -> bool:
         """Whether `import video` fitted poses and template to these videos, by keypoints and outlines."""
         return self.facts.get("source") == "video"

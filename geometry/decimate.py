@@ -77,11 +77,12 @@ def decimate(
     error. It does not check the link condition and can tear or crowd edges: such a pass is tried again towards
     other targets, and what is left is repaired. Where repair took more than LOST of the surface (a finger pinched
     off is half a percent), the whole collapse is tried again towards another number of triangles; where all took
-    more, the least loss is taken up to BEARABLE, and reported.
+    more, the least loss is taken up to BEARABLE, else towards FINER ones (locks of hair that no 70 triangles
+    hold), and what is lost is reported.
 
     Raises:
         ValueError: fewer than 4 triangles asked, or a mesh that is not a closed manifold given.
-        AssetError: no attempt could be closed, or all lost more than BEARABLE of the surface.
+        AssetError: no attempt could be closed, or all lost more than WORTHLESS of the surface.
     """
     if target < 4:
         raise ValueError(f"a closed surface has at least 4 triangles, {target} asked")
@@ -94,7 +95,9 @@ def decimate(
     grown = enlarged(mesh.vertices, parts or [])
     problems: list[str] = []
     best: tuple[float, TriangleMesh] | None = None
-    for share in RETRIES:
+    for share in (*RETRIES, *FINER):
+        if share in FINER and best is not None and best[0] <= BEARABLE:
+            break
         try:
             collapsed, lost = _collapsed(TriangleMesh(grown, mesh.faces), max(4, int(share * target)))
         except AssetError as problem:
@@ -105,9 +108,9 @@ def decimate(
         if lost <= LOST:
             break
         problems.append(f"repairing {len(collapsed.faces)} triangles lost {lost * 100:.1f} % of the surface")
-    if best is None or best[0] > BEARABLE:
+    if best is None or best[0] > WORTHLESS:
         raise AssetError(
-            f"surface: should collapse to about {target} triangles without a hole, did in none of {len(RETRIES)} "
+            f"surface: should collapse to about {target} triangles without a hole, did in none of {len(problems)} "
             f"attempts ({'; '.join(problems)})"
         )
     lost, collapsed = best
@@ -120,9 +123,11 @@ def decimate(
 
 # multiples of the target, in this order
 RETRIES = (1.0, 1.03, 0.96, 1.1, 1.2, 0.9)
+FINER = (1.5, 2.0, 3.0, 5.0)
 # shares of the area
 LOST = 0.003
 BEARABLE = 0.015
+WORTHLESS = 0.1
 
 
 def _collapsed(mesh: TriangleMesh, target: int) -> tuple[TriangleMesh, float]:

@@ -52,6 +52,8 @@ class PartField(nn.Module):
         self.geometry, self.appearance, self.color_network, self.displacement = networks
         self.poses = None
         self.light = None
+        # the surface is the template's, whatever was learned
+        self.keeps_template = False
         self.register_buffer("reference", torch.zeros_like(self.appearance.weight[0]).detach())
 
     def unit(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
@@ -61,7 +63,9 @@ class PartField(nn.Module):
     def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
         """F_s, Eq. 1."""
         distance, feature = self.geometry(self.unit(points))
-        if self.geometry.over_template:
+        if self.keeps_template:
+            distance = self.template(points)
+        elif self.geometry.over_template:
             distance = self.template(points) + distance
         return FieldSample(distance, feature)
 
@@ -79,7 +83,9 @@ class PartField(nn.Module):
                 points = points.detach().requires_grad_()
             distance, feature = self.geometry(self.unit(points))
             (gradient,) = torch.autograd.grad(distance.sum(), points, create_graph=create_graph)
-        if self.geometry.over_template:
+        if self.keeps_template:
+            distance, gradient = self.template.sample(points.detach())
+        elif self.geometry.over_template:
             template, slope = self.template.sample(points.detach())
             distance, gradient = template + distance, slope + gradient
         return FieldSample(distance, feature), gradient

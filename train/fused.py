@@ -1,6 +1,7 @@
 """The whole person as one field: four parts, fused in space (TotalSelfScan, 3.3)."""
 
-from collections.abc import Callable, Sequence
+import copy
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import torch
@@ -71,6 +72,17 @@ class FusedField(nn.Module):
             self.distance, self.normal, self.color, self.seen_light if factor else None,
             self.light_normal if factor else None, self.details(),
         )  # fmt: skip
+
+    def with_templates(self, names: Collection[str]) -> "FusedField":
+        """The person with these parts' surfaces as they were before anything was learned; networks are shared."""
+        fields = []
+        for index, part in enumerate(self.parts):
+            field = copy.copy(self.field(index))
+            field.keeps_template |= part.name in names
+            fields.append(field)
+        other = FusedField(fields, self.parts, self.head_from_canonical, switch=self.switch)
+        other.eyes, other.seen = self.eyes, self.seen
+        return other.eval().requires_grad_(False)
 
     def field(self, index: int) -> PartField:
         """The field of part `index`, in its own frame."""
@@ -223,7 +235,7 @@ class FusedField(nn.Module):
             points = points @ A.T + self.head_from_canonical[:3, 3]
             R = A / self.scale(index)
         field = self.field(index)
-        return points + field.displacement.mean(field.unit(points)), R
+        return points if field.keeps_template else points + field.displacement.mean(field.unit(points)), R
 
     def part_gradient(self, index: int, points: Tensor) -> tuple[FieldSample, Tensor]:
         """F_s of a part and its gradient turned back into the canonical frame."""

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,8 @@ class BakeSource:
     provenance: dict[str, Any]
     # the body video's, in the world of the poses; None: the field's colors hold the light
     world_light: CaptureLight | None = None
+    # the field with the surfaces of these parts as they were before they learned; None: nothing was learned
+    with_templates: Callable[[Collection[str]], CanonicalField] | None = None
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,11 @@ class Run:
     @property
     def bake_source(self) -> BakeSource:
         """The run as `selfscan bake` takes it."""
-        return BakeSource(self.field.functions(), self.surface, self.subject, self.provenance, self.world_light)
+        with_templates = lambda names: self.field.with_templates(names).functions()
+        return BakeSource(
+            self.field.functions(), self.surface, self.subject, self.provenance, self.world_light,
+            with_templates if self.preset.learns else None,
+        )  # fmt: skip
 
     @property
     def light(self) -> CaptureLight | None:

@@ -45,6 +45,8 @@ FAR_VIDEO = 0.1
 # share of a video's own joints in a place's skin weights: none of the place's pixels count at the first, all above
 # the first two together
 SHARE_BEGIN, SHARE_RISE = 0.3, 0.5
+# metres above the chin from which the head's video counts fully where poses were estimated
+OVER_CHIN = 0.01
 # the joints of a close-up's own part, and those that its poses hold: the forearm is in the hand's video too
 PART_JOINTS = {
     "head": [15],
@@ -236,22 +238,29 @@ def as_base_color(color: Float[Array, "pixels 3"], lit: FrameLight, place: Place
     return lit.light.shown(lit.light.albedo(color, shading, highlight), base, glow)
 
 
-def vertex_importance(mesh: AtlasMesh, part: str) -> Float[Array, "corners"]:
-    """How much a video is believed about each vertex, [0, 1], by what its poses hold and what looks closer."""
+def vertex_importance(mesh: AtlasMesh, part: str, chin: float | None) -> Float[Array, "corners"]:
+    """How much a video is believed about each vertex, [0, 1], by what its poses hold and what looks closer.
+
+    `chin`, its canonical height (metres) where poses were estimated: the head's video shows neck, collar and the ends
+    of hair otherwise bent than they stand, and is not believed about what lies lower.
+    """
+
+    def believed(part: str, joints: dict[str, list[int]]) -> Float[Array, "corners"]:
+        held = np.clip((mesh.share[:, joints[part]].sum(1) - SHARE_BEGIN) / SHARE_RISE, 0, 1)
+        if part == "head" and chin is not None:
+            held *= np.clip((mesh.positions[:, 1] - chin) / OVER_CHIN, 0, 1)
+        return held
+
     if part == "body":
-        closer = sum(_ramp(mesh.share[:, joints].sum(1)) for joints in PART_JOINTS.values())
+        closer = sum(believed(own, PART_JOINTS) for own in PART_JOINTS)
         return 1 - (1 - FAR_VIDEO) * np.clip(closer, 0, 1)
-    return _ramp(mesh.share[:, HELD_JOINTS[part]].sum(1))
-
-
-def _ramp(share: Float[Array, "corners"]) -> Float[Array, "corners"]:
-    return np.clip((share - SHARE_BEGIN) / SHARE_RISE, 0, 1)
+    return believed(part, HELD_JOINTS)
 
 
 def pixel_size(video: PartVideo, mesh: AtlasMesh, head_from_canonical: Float[Array, "4 4"]) -> float:
     """Metres of a pixel where the video's own part is, in its middle frame."""
     frames = list(posed_frames(mesh, video, head_from_canonical))
-    own = vertex_importance(mesh, video.part) > 0.5
+    own = vertex_importance(mesh, video.part, None) > 0.5
     sizes = []
     for frame in frames[:: max(len(frames) // 4, 1)]:
         view = frame.camera.camera_from_world
@@ -268,12 +277,14 @@ def video_reads(
     samples: int,
     light: CaptureLight | None = None,
     change: ViewChange | None = None,
+    chin: float | None = None,
 ) -> Iterator[PixelReads]:
     """What the pixels of each frame read, `samples` x `samples` places a pixel.
 
-    `light` is divided out of them, and what they show because of where they were seen from (`change`) taken off.
+    `light` is divided out of them, and what they show because of where they were seen from (`change`) taken off;
+    `chin` as `vertex_importance` has it.
     """
-    belief = Belief(vertex_importance(mesh, video.part), COSINE_POWER[video.part])
+    belief = Belief(vertex_importance(mesh, video.part, chin), COSINE_POWER[video.part])
     turn = head_from_canonical[:3, :3] / np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
     world = turn if video.axis_angle is None else np.eye(3)
 

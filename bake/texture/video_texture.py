@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 from numpy import ndarray as Array
 from scipy.sparse import csr_matrix
 
@@ -46,6 +46,7 @@ from bake.texture.texture_solve import (
 )
 from capture.folder import PartVideo
 from command.workers import on_all_cores
+from geometry.least_squares import robust_weight
 from geometry.mesh import TriangleMesh, blended, face_areas
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
@@ -60,6 +61,12 @@ STAY, STAY_POWER, SMOOTH = 0.06, 1.5, 4.0
 SMOOTH_UNSURE = 16.0
 # weight of a point on a chart edge looking the same from both sides
 AGREE = 1.0
+# share of the head from which a place is the head's alone, when what no video saw is filled
+WHOLE_HEAD = 0.95
+# difference from the tone of a lock of hair, darker or brighter, sRGB, from which a place of it shows something else
+STRANGE = 0.06
+# difference of a pixel's color from what the others show, sRGB, at which it counts a quarter where poses were estimated
+DOUBTED = 0.15
 # frames that show a texel, away from outlines, up to which it counts as unseen, and from which as seen; the same of
 # their mean squared cosine: at grazing angles a frame shows the colors of a print as one grey
 UNSEEN, SEEN = 0.3, 1.0
@@ -142,6 +149,8 @@ def solve_texture(
             facts[name]["moved_mm"] = rounded(align_frames(own, video, given, solution) * 1e3)
         moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
         report(f"frames moved onto the texture they agree on, mm: {moved}")
+        for own in found.equations:
+            doubted(own, solution)
         solution = solve_change(found.equations, prior, pairs, stiff=seams)
     surface = texel_surface(mesh, found.texel)
     solved = np.clip(within_shown(given + solution, given, surface.points, found.ranges), 0, 1)
@@ -149,6 +158,8 @@ def solve_texture(
         left = own.wanted - own.matrix @ (solved - given)
         facts[name]["rms_after"] = rounded(255 * _rms(left, own.matrix))
     seen = found.seen_share()[:, None]
+    if videos.estimated:
+        seen[strange_on_hair(surface, solved, seen[:, 0] == 1)] = 0
     rest = np.flatnonzero(seen < 1)
     fill = filled_colors(surface, solved, seen[:, 0] == 1)
     solved[rest] = seen[rest] * solved[rest] + (1 - seen[rest]) * fill
@@ -182,7 +193,9 @@ def read_videos(
             video = averaged(video, averaging(seen_size, own))
             pixel = found.pixel[index] = pixel_size(video, mesh, videos.head_from_canonical)
             samples, light = samples_for(pixel, own), videos.lights.get(name)
-            reads = video_reads(mesh, video, videos.head_from_canonical, rasteriser, samples, light, change)
+            reads = video_reads(
+                mesh, video, videos.head_from_canonical, rasteriser, samples, light, change, videos.chin
+            )
             read = equations_of(reads, given, mesh.positions)
             found.ranges.append(shown_range(read.places, read.colors, max(pixel, own)))
             found.equations.append(read.equations)
@@ -243,6 +256,15 @@ def equations_of(
     equations = Equations(matrix, _joined(wanted))
     rms = _rms(equations.wanted, matrix)
     return VideoEquations(equations, frames, shown, faced, rms, _joined(places), _joined(colors))
+
+
+def doubted(equations: Equations, solution: Float[Array, "texels 3"]) -> None:
+    """Weigh pixels less, in place, that differ from what most show, as one beside a lock that shows the shirt."""
+    root = np.asarray(equations.matrix.sum(1)).ravel()
+    left = (equations.wanted - equations.matrix @ solution) / np.maximum(root, 1e-9)[:, None]
+    weight = np.sqrt(robust_weight(np.square(left).sum(1), DOUBTED)).astype(np.float32)
+    equations.matrix.data *= np.repeat(weight, np.diff(equations.matrix.indptr))
+    equations.wanted[:] *= weight[:, None]
 
 
 def _joined(pieces: list[Array]) -> Array:
@@ -308,8 +330,28 @@ def texel_surface(mesh: AtlasMesh, texel: Float[Array, "texels"]) -> TexelSurfac
     facing = unit_or_zero(blended(mesh.normals, corners, weight))
     return TexelSurface(
         TriangleMesh(welded, faces), faces[mesh.texels.face], weight, blended(mesh.positions, corners, weight), facing,
-        np.square(texel), mesh.piece[mesh.texels.face], mesh.share.argmax(1)[corners[:, 0]], limb_axes(mesh.joints),
+        np.square(texel), mesh.piece[mesh.texels.face], limb_of(mesh.share)[corners[:, 0]], limb_axes(mesh.joints),
     )  # fmt: skip
+
+
+def limb_of(share: Float[Array, "corners 52"]) -> Integer[Array, "corners"]:
+    """The joint that moves each vertex most; under the chin the neck, where the head's share is not whole."""
+    head = JOINTS.index("head")
+    rest = share * (np.arange(len(JOINTS)) != head)
+    return np.where(share[:, head] > WHOLE_HEAD, head, rest.argmax(1))
+
+
+def strange_on_hair(
+    surface: TexelSurface, color: Float[Array, "texels 3"], seen: Bool[Array, "texels"]
+) -> Bool[Array, "texels"]:
+    """Texels of hanging hair that show something else: what lies behind a lock that ends elsewhere than estimated."""
+    found = np.zeros(len(color), bool)
+    for piece in np.flatnonzero(np.arange(surface.piece.max() + 1) != np.bincount(surface.piece).argmax()):
+        own = surface.piece == piece
+        if (own & seen).any():
+            tone = unit_or_zero(np.median(color[own & seen], axis=0))
+            found |= own & (np.sqrt(np.square(color - (color @ tone)[:, None] * tone).mean(1)) > STRANGE)
+    return found
 
 
 def limb_axes(joints: Float[Array, "52 3"]) -> Float[Array, "52 3"]:

@@ -24,7 +24,8 @@ def remeasured(avatar: Avatar, run: BakeSource, held_out: dict[str, list[HeldOut
     A file whose textures are from the videos was compared with the field before it got them: what is found against
     the field is then how much they changed.
     """
-    field = numpy_field(run.field)
+    kept = baked_facts(avatar).get("template_kept")
+    field = numpy_field(run.with_templates(kept) if kept and run.with_templates is not None else run.field)
     surface = field_surface(run, run_surface(run.surface, len(run.subject.joints)), field)
     said = recorded_facts(avatar)
     views = measure.test_views(surface.joints, said["against_field"].get("image", 512))

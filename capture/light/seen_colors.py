@@ -31,6 +31,9 @@ def seen_colors(capture: Capture, lights: Mapping[str, CaptureLight], seed: int 
     rng = np.random.default_rng([seed, 37])
     for index, part in enumerate(PARTS):
         own = (subject.part[subject.faces] == index).any(1) | (part == "body")
+        if part == "head" and capture.fitted_here and capture.chin is not None:
+            # neck and collar stand elsewhere in its video than they are posed: they left a second collar under the chin
+            own &= (subject.vertices[subject.faces, 1] > capture.chin).all(1)
         pixels = video_pixels(capture, part, own, frame, PIXELS, rng)
         color, light = pixels.color, lights.get(part)
         if light is not None:

@@ -2,14 +2,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial import KDTree
 
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
-from bake.bake import BakeOptions, bake_run, check_complete, level_plan
+from bake.bake import BakeOptions, _Clock, bake_run, broken_parts, extracted, level_plan, run_surface
 from bench.ladder.remeasure import recorded_facts, remeasured
 from command.errors import AssetError
-from geometry.mesh import TriangleMesh
 from geometry.repair import find_faults
 
 
@@ -125,11 +125,24 @@ def test_a_file_that_lost_more_than_it_says_is_found_out(sheen, sheen_run):
     assert found["paper_db"] < said["paper_db"] - 5 and found["cone_db"]["off"] < said["cone_db"]["off"] - 5
 
 
-def test_a_hand_that_broke_off_is_named(run):
-    surface = run.surface
-    body = (surface.part[surface.faces] != 2).all(1)
-    with pytest.raises(AssetError, match="hand_left should be one piece"):
-        from geometry.mesh import compact
+def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small, monkeypatch):
+    # which would hold the hand's middle
+    monkeypatch.setattr("bake.layers.solid_inside", lambda distance, subject: distance)
+    hand = run.surface.vertices[run.surface.part == PARTS.index("hand_left")]
+    low, high = (torch.tensor(edge, dtype=torch.float32) for edge in (hand.min(0) - 0.05, hand.max(0) + 0.05))
+    whole = run.field.distance
+    lost = lambda points: torch.where(((points > low) & (points < high)).all(1), 0.05, whole(points))
+    asked, lines = [], []
 
-        check_complete(compact(surface.vertices, surface.faces[body])[0], surface.vertices, surface.part)
-    check_complete(TriangleMesh(surface.vertices, surface.faces), surface.vertices, surface.part)
+    def with_templates(names):
+        asked.append(set(names))
+        return run.field
+
+    broken = replace(run, field=run.field._replace(distance=lost), with_templates=with_templates)
+    origin, clock = run_surface(run.surface, 52), _Clock(lines.append)
+    found = extracted(broken, origin, small, clock)
+    assert asked == [{"hand_left"}] and list(found.given_up) == ["hand_left"]
+    assert not broken_parts(found.extraction.mesh, origin.vertices, origin.part)
+    assert "of hand_left is more than 3 cm" in lines[0] and "the template stays for hand_left" in lines[0]
+    with pytest.raises(AssetError, match="of hand_left is more than 3 cm"):
+        extracted(replace(broken, with_templates=None), origin, small, clock)

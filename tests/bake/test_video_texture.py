@@ -28,10 +28,11 @@ from bake.texture.pixel_reads import (
     frame_reads,
     pieces_of_faces,
     posed_frames,
+    vertex_importance,
 )
 from bake.texture.texels import TexelMap
 from bake.texture.texture_solve import Equations, Prior, neighbour_pairs, shown_range, solve_change, within_shown
-from bake.texture.video_texture import averaged, averaging, solve_texture
+from bake.texture.video_texture import averaged, averaging, doubted, solve_texture, strange_on_hair
 from capture.folder import PartVideo
 from command.errors import AssetError
 from geometry.mesh import TriangleMesh
@@ -82,7 +83,7 @@ def videos(context, painted):
             np.tile(pose, (8, 1, 1)) if posed else None, np.zeros((8, 3)) if posed else None, None, None,
         )  # fmt: skip
     renderer.release()
-    return FoundVideos(Path(), None, head_from_canonical, {}, False, found)
+    return FoundVideos(Path(), None, head_from_canonical, {}, False, None, found)
 
 
 def test_a_painted_texture_comes_back_from_its_pictures(painted, videos):
@@ -316,6 +317,39 @@ def test_pieces_of_a_level_are_found_across_chart_edges():
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
     found = pieces_of_faces(np.concatenate([square, square + [0, 0, 1]]), np.arange(12).reshape(4, 3))
     assert found[0] == found[1] != found[2] == found[3]
+
+
+def test_the_heads_video_is_not_believed_under_the_chin_of_estimated_people(painted):
+    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
+    height = mesh.positions[:, 1]
+    chin = float(mesh.positions[mesh.share[:, 15] == 1, 1].mean())
+    made, estimated = (vertex_importance(mesh, "head", at) for at in (None, chin))
+    assert (estimated[height < chin] == 0).all() and made[height < chin].max() == 1
+    np.testing.assert_array_equal(estimated[height > chin + 0.011], made[height > chin + 0.011])
+    # what the head's video does not tell, the body's does
+    assert vertex_importance(mesh, "body", chin)[(height < chin) & (made == 1)].min() == 1
+
+
+def test_a_pixel_that_shows_something_else_counts_less():
+    shown = np.float32([[0.3], [0.3], [0.3], [0.9]]) * np.ones((1, 3), np.float32)
+    one = csr_matrix(np.ones((4, 1), np.float32))
+    equations = Equations(one, shown.copy())
+    doubted(equations, np.full((1, 3), 0.3, np.float32))
+    weight = np.square(equations.matrix.toarray().ravel())
+    np.testing.assert_allclose(weight[:3], 1, atol=1e-5)
+    assert weight[3] < 0.01
+    np.testing.assert_allclose(equations.wanted[3], 0.9 * np.sqrt(weight[3]), rtol=1e-5)
+
+
+def test_a_lock_that_shows_the_shirt_is_unseen_and_dark_hair_with_a_shine_is_not():
+    surface = flat_surface(np.concatenate([sheet(0.1), sheet(0.1)]))
+    color = np.tile([0.1, 0.2, 0.9], (len(surface.points), 1))
+    hair = np.flatnonzero(surface.piece == 1)
+    color[hair] = [0.2, 0.14, 0.1]
+    color[hair[:40]] = [0.6, 0.42, 0.3]
+    color[hair[-40:]] = [0.5, 0.55, 0.7]
+    found = strange_on_hair(surface, color, np.ones(len(color), bool))
+    assert np.flatnonzero(found).tolist() == hair[-40:].tolist()
 
 
 def test_a_solved_texture_is_kept_within_what_pixels_show(painted, videos, monkeypatch):
