@@ -43,11 +43,12 @@ def test_a_first_avatar_stands_where_the_better_one_will(films, ran, tmp_path, c
     out = tmp_path / "me.glb"
     assert make.main([str(films), "-o", str(out), "--stature", "1.78", "--sex", "female"]) == 0
     kinds = [words[1] for words in ran]
-    assert kinds == ["import", "train", "bake", "train", "bake"]
-    read, first, _, fields, last = ran
+    assert kinds == ["import", "train", "bake", "bake"]
+    read, first, early, last = ran
     assert read[read.index("--stature") + 1] == "1.78" and read[read.index("--sex") + 1] == "female"
     assert "--frames" not in read
-    assert first[first.index("--preset") + 1] == "preview" and "--iterations" in fields
+    assert first[first.index("--preset") + 1] == "preview"
+    assert "--texture" in early and "--texture" not in last
     assert out.read_text() == " ".join(last)
     assert capsys.readouterr().out.count(f"{out}: ready after") == 2
 
@@ -56,9 +57,25 @@ def test_four_minutes_end_with_the_first_avatar_and_more_go_on_from_there(films,
     out = tmp_path / "me.glb"
     make.main([str(films), "-o", str(out), "--minutes", "4"])
     assert [words[1] for words in ran] == ["import", "train", "bake"]
-    make.main([str(films), "-o", str(out), "--minutes", "60"])
-    assert [words[1] for words in ran[3:]] == ["train", "bake"]
-    assert "--iterations" not in ran[3]
+    make.main([str(films), "-o", str(out)])
+    assert [words[1] for words in ran[3:]] == ["bake"]
+
+
+@pytest.mark.parametrize(("minutes", "fields", "taken"), [("15", 9.7, True), ("60", 9.9, False)])
+def test_fields_take_the_place_where_they_show_the_films_better(
+    films, ran, tmp_path, monkeypatch, capsys, minutes, fields, taken
+):
+    monkeypatch.setattr(make, "off_the_films", lambda avatar: fields if "fields" in avatar.name else 10.0)
+    out = tmp_path / "me.glb"
+    make.main([str(films), "-o", str(out), "--minutes", minutes])
+    assert [words[1] for words in ran[4:]] == ["train", "bake"] and ("--iterations" in ran[4]) == (minutes == "15")
+    shown = f"fields_{minutes}" if taken else "better"
+    for _ in range(2):
+        assert f"{shown}.glb" in out.read_text()
+        said = capsys.readouterr().out
+        assert (f"the template stays: the fields show the films no better ({fields:.2f}" in said) != taken
+        out.unlink()
+        make.main([str(films), "-o", str(out), "--minutes", minutes])
 
 
 def test_what_was_stopped_goes_on_where_it_was(films, monkeypatch, tmp_path):
@@ -69,7 +86,7 @@ def test_what_was_stopped_goes_on_where_it_was(films, monkeypatch, tmp_path):
     assert not out.exists()
     ran = recorded_commands(monkeypatch, make, product)
     make.main([str(films), "-o", str(out)])
-    assert [words[1] for words in ran] == ["bake", "train", "bake"]
+    assert [words[1] for words in ran] == ["bake", "bake"]
 
 
 def test_an_avatar_that_was_moved_away_is_put_there_again(films, ran, tmp_path):
@@ -78,7 +95,7 @@ def test_an_avatar_that_was_moved_away_is_put_there_again(films, ran, tmp_path):
     made = out.read_text()
     out.unlink()
     make.main([str(films), "-o", str(out)])
-    assert out.read_text() == made and len(ran) == 5
+    assert out.read_text() == made and len(ran) == 4
 
 
 def test_other_films_are_not_mixed_with_work_that_is_there(films, ran, tmp_path):
