@@ -136,13 +136,13 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
 
     read = ["selfscan", "import", "video", *wanted.films, "-o", capture, *words_of(wanted.reading)]
     stages = [
-        Stage("read the films and fit the person", capture / "capture.json", command(*read), 2.5),
+        Stage("read the films and fit the person", capture / "capture.json", command(*read), 1.7),
         Stage("the template in the films' colors", first / "run.json",
-              command("selfscan", "train", capture, "-o", first, "--preset", "preview"), 2.0),
-        bake("first avatar", first, work / "first.glb", 1.5, "--texture", FIRST),
+              command("selfscan", "train", capture, "-o", first, "--preset", "preview"), 1.3),
+        bake("first avatar", first, work / "first.glb", 1.3, "--texture", FIRST),
     ]  # fmt: skip
     if wanted.minutes != "4":
-        stages.append(bake("finer textures", first, better, 2.3))
+        stages.append(bake("finer textures", first, better, 2.2))
     if wanted.minutes in ("15", "60"):
         resume = ["--resume"] if run_folder.with_name(run_folder.name + ".partial").exists() else []
         short = ["--iterations", SHORT] if wanted.minutes == "15" else []
