@@ -33,8 +33,8 @@ ABOUT = Help(
     "selfscan make",
     """Make an avatar of films of one person, four or the body's alone: read them, fit the person, and write a first
 avatar, textures solved from the films, then a finer one over it. Asked for more minutes, train the fields of the paper
-too; theirs takes the place where it shows the films better. `selfscan play --follow` shows the first while the second
-is made, and then the second. Stopped, the same command goes on where it was.""",
+too; what they give takes the place where it shows the films better. `selfscan play --follow` shows the first while the
+second is made, and then the second. Stopped, the same command goes on where it was.""",
     """example:
   selfscan make me -o me.glb --stature 1.78       me/ has body.mp4, head.mp4, left.mp4, right.mp4 and keypoints/
   selfscan make me -o me.glb --minutes 4          the first avatar alone""",
@@ -109,11 +109,11 @@ def off_the_films(avatar: Path) -> float:
 
 def worth_it(trained: Path, template: Path) -> bool:
     """Whether the trained fields' avatar shows the films better than the fitted template's; said where it does not."""
-    theirs, ours = off_the_films(trained), off_the_films(template)
-    if theirs < (1 - NEARER) * ours:
+    learned, fitted = off_the_films(trained), off_the_films(template)
+    if learned < (1 - NEARER) * fitted:
         return True
-    print(f"the template stays: the fields show the films no better ({theirs:.2f} of 255 off, the template "
-          f"{ours:.2f}); theirs is {trained}", flush=True)  # fmt: skip
+    print(f"the template stays: the fields show the films no better ({learned:.2f} of 255 off, the template "
+          f"{fitted:.2f}); their avatar is {trained}", flush=True)  # fmt: skip
     return False
 
 
@@ -124,6 +124,7 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
     better = work / "better.glb"
 
     def bake(name: str, source: Path, product: Path, minutes: float, *words: object) -> Stage:
+        """Bake a run and put the avatar where the user wants it."""
         baked = command("selfscan", "bake", source, "-o", product, *map(str, words))
 
         def run() -> int:

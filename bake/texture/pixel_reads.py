@@ -81,6 +81,8 @@ class AtlasMesh(NamedTuple):
     light: Float[Array, "corners 2"] | None
     # the connected piece of the surface that each face is of: body, hair
     piece: Integer[Array, "faces"]
+    # canonical height of the chin, metres, where poses were estimated
+    chin: float | None
 
     @property
     def size(self) -> int:
@@ -169,8 +171,8 @@ def view_change(field: NumpyField, charted: Charted, distilled: Distilled) -> Vi
     return ViewChange(charted.cone, lambda tangent: distilled.residual(features, tangent))
 
 
-def atlas_mesh(level: Level, joints: Float[Array, "52 3"]) -> AtlasMesh:
-    """A level ready to be read by pixels."""
+def atlas_mesh(level: Level, joints: Float[Array, "52 3"], chin: float | None = None) -> AtlasMesh:
+    """A level ready to be read by pixels; `chin` as `AtlasMesh` has it."""
     uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
     size = len(level.base_color)
     texels = rasterise_charts(uv, faces, size)
@@ -191,6 +193,7 @@ def atlas_mesh(level: Level, joints: Float[Array, "52 3"]) -> AtlasMesh:
         row[nearest_marked(covered)].reshape(-1),
         None if level.light is None else level.light.astype(np.float64),
         pieces_of_faces(level.positions, faces),
+        chin,
     )
 
 
@@ -238,17 +241,17 @@ def as_base_color(color: Float[Array, "pixels 3"], lit: FrameLight, place: Place
     return lit.light.shown(lit.light.albedo(color, shading, highlight), base, glow)
 
 
-def vertex_importance(mesh: AtlasMesh, part: str, chin: float | None) -> Float[Array, "corners"]:
+def vertex_importance(mesh: AtlasMesh, part: str) -> Float[Array, "corners"]:
     """How much a video is believed about each vertex, [0, 1], by what its poses hold and what looks closer.
 
-    `chin`, its canonical height (metres) where poses were estimated: the head's video shows neck, collar and the ends
-    of hair otherwise bent than they stand, and is not believed about what lies lower.
+    Where poses were estimated the head's video shows neck, collar and the ends of hair otherwise bent than they stand,
+    and is not believed about what lies under the chin.
     """
 
     def believed(part: str, joints: dict[str, list[int]]) -> Float[Array, "corners"]:
         held = np.clip((mesh.share[:, joints[part]].sum(1) - SHARE_BEGIN) / SHARE_RISE, 0, 1)
-        if part == "head" and chin is not None:
-            held *= np.clip((mesh.positions[:, 1] - chin) / OVER_CHIN, 0, 1)
+        if part == "head" and mesh.chin is not None:
+            held *= np.clip((mesh.positions[:, 1] - mesh.chin) / OVER_CHIN, 0, 1)
         return held
 
     if part == "body":
@@ -260,7 +263,7 @@ def vertex_importance(mesh: AtlasMesh, part: str, chin: float | None) -> Float[A
 def pixel_size(video: PartVideo, mesh: AtlasMesh, head_from_canonical: Float[Array, "4 4"]) -> float:
     """Metres of a pixel where the video's own part is, in its middle frame."""
     frames = list(posed_frames(mesh, video, head_from_canonical))
-    own = vertex_importance(mesh, video.part, None) > 0.5
+    own = vertex_importance(mesh, video.part) > 0.5
     sizes = []
     for frame in frames[:: max(len(frames) // 4, 1)]:
         view = frame.camera.camera_from_world
@@ -277,14 +280,12 @@ def video_reads(
     samples: int,
     light: CaptureLight | None = None,
     change: ViewChange | None = None,
-    chin: float | None = None,
 ) -> Iterator[PixelReads]:
     """What the pixels of each frame read, `samples` x `samples` places a pixel.
 
-    `light` is divided out of them, and what they show because of where they were seen from (`change`) taken off;
-    `chin` as `vertex_importance` has it.
+    `light` is divided out of them, and what they show because of where they were seen from (`change`) taken off.
     """
-    belief = Belief(vertex_importance(mesh, video.part, chin), COSINE_POWER[video.part])
+    belief = Belief(vertex_importance(mesh, video.part), COSINE_POWER[video.part])
     turn = head_from_canonical[:3, :3] / np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
     world = turn if video.axis_angle is None else np.eye(3)
 

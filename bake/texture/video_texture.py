@@ -133,7 +133,7 @@ def solve_texture(
     change: ViewChange | None = None,
 ) -> VideoTexture:
     """The atlas of a level solved against the videos; see the module."""
-    mesh = atlas_mesh(baked.level, joints)
+    mesh = atlas_mesh(baked.level, joints, videos.chin)
     given = (baked.level.base_color.reshape(-1, 3)[mesh.texels.index] / np.float32(255)).astype(np.float32)
     facts: Facts = {}
     found = read_videos(mesh, given, videos, change, facts, report)
@@ -193,9 +193,7 @@ def read_videos(
             video = averaged(video, averaging(seen_size, own))
             pixel = found.pixel[index] = pixel_size(video, mesh, videos.head_from_canonical)
             samples, light = samples_for(pixel, own), videos.lights.get(name)
-            reads = video_reads(
-                mesh, video, videos.head_from_canonical, rasteriser, samples, light, change, videos.chin
-            )
+            reads = video_reads(mesh, video, videos.head_from_canonical, rasteriser, samples, light, change)
             read = equations_of(reads, given, mesh.positions)
             found.ranges.append(shown_range(read.places, read.colors, max(pixel, own)))
             found.equations.append(read.equations)
