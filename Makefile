@@ -42,15 +42,16 @@ setup: $(VENV)/ready system
 
 # uv fetches and unpacks side by side (pip, which takes its place where it fails, needs some three minutes); it knows pip's index
 PIP_INDEX = $${PIP_INDEX_URL:-$$($(VENV)/bin/pip config get global.index-url 2>/dev/null || echo https://pypi.org/simple)}
-INSTALL = UV_DEFAULT_INDEX=$${UV_DEFAULT_INDEX:-$(PIP_INDEX)} $(VENV)/bin/uv pip install -q --python $(RUN)
+WITH_UV = UV_DEFAULT_INDEX=$${UV_DEFAULT_INDEX:-$(PIP_INDEX)} $(VENV)/bin/uv pip install --python $(RUN)
+WITH_PIP = $(VENV)/bin/pip install --disable-pip-version-check --no-compile
 
 $(VENV)/ready: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "selfscan needs Python 3.11 or newer: apt install python3 python3-venv"; exit 1; }
 	@echo "setting up $(VENV) once: about 7 GB (PyTorch brings CUDA; see README for less), half a minute behind a fast line"
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/pip install --disable-pip-version-check -q uv || true
-	$(if $(TORCH_INDEX),$(INSTALL) --index-url $(TORCH_INDEX) torch)
-	$(INSTALL) -e '.[bake,bench,dev]' || $(VENV)/bin/pip install --disable-pip-version-check --no-compile -e '.[bake,bench,dev]'
+	$(if $(TORCH_INDEX),$(WITH_UV) --index-url $(TORCH_INDEX) torch || $(WITH_PIP) --index-url $(TORCH_INDEX) torch)
+	$(WITH_UV) -e '.[bake,bench,dev]' || $(WITH_PIP) -e '.[bake,bench,dev]'
 	touch $@
 
 # EGL and a software rasteriser; OSMesa where the distribution still has it.

@@ -189,13 +189,15 @@ def extracted(run: BakeSource, origin: SourceSurface, options: BakeOptions, cloc
             extraction = extract_layers(layers, origin, origin.part != PARTS.index("body"), steps, asked.details)
             broken = broken_parts(extraction.mesh, origin.vertices, origin.part)
         except AssetError as fault:
+            if run.with_templates is None or len(given_up) == len(PARTS):
+                raise
             extraction, broken = None, dict.fromkeys(PARTS, str(fault))
         broken = {part: why for part, why in broken.items() if part not in given_up}
         if extraction is not None and not broken:
             break
         why = "; ".join(dict.fromkeys(broken.values()))
-        if not broken or run.with_templates is None:
-            raise AssetError(f"surface: {why or 'breaks, with the template as well'}")
+        if run.with_templates is None:
+            raise AssetError(f"surface: {why}")
         clock.report(f"surface: {why}: the template stays for {', '.join(broken)}")
         given_up |= broken
         field = run.with_templates(given_up)

@@ -144,19 +144,20 @@ def solve_texture(
     # what frames are moved onto need not be solved to the end
     rounds = ROUNDS // 2 if videos.estimated else ROUNDS
     solution = solve_change(found.equations, prior, pairs, stiff=seams, rounds=rounds)
+    belief = [np.ones(1, np.float32)] * len(PARTS)
     if videos.estimated:
         for name, own, video in zip(PARTS, found.equations, found.shown, strict=True):
             facts[name]["moved_mm"] = rounded(align_frames(own, video, given, solution) * 1e3)
         moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
         report(f"frames moved onto the texture they agree on, mm: {moved}")
-        for own in found.equations:
-            doubted(own, solution)
+        belief = [doubted(own, solution) for own in found.equations]
         solution = solve_change(found.equations, prior, pairs, stiff=seams)
     surface = texel_surface(mesh, found.texel)
     solved = np.clip(within_shown(given + solution, given, surface.points, found.ranges), 0, 1)
-    for name, own in zip(PARTS, found.equations, strict=True):
-        left = own.wanted - own.matrix @ (solved - given)
-        facts[name]["rms_after"] = rounded(255 * _rms(left, own.matrix))
+    for name, own, sure in zip(PARTS, found.equations, belief, strict=True):
+        # of all pixels, those that were doubted as well
+        left = (own.wanted - own.matrix @ (solved - given)) / sure[:, None]
+        facts[name]["rms_after"] = rounded(255 * _rms(left, weight_roots(own.matrix) / sure))
     seen = found.seen_share()[:, None]
     if videos.estimated:
         seen[strange_on_hair(surface, solved, seen[:, 0] == 1)] = 0
@@ -252,17 +253,18 @@ def equations_of(
     shape = (len(pointers) - 1, len(given))
     matrix = csr_matrix((_joined(data), _joined(indices), pointers), shape)
     equations = Equations(matrix, _joined(wanted))
-    rms = _rms(equations.wanted, matrix)
+    rms = _rms(equations.wanted, weight_roots(matrix))
     return VideoEquations(equations, frames, shown, faced, rms, _joined(places), _joined(colors))
 
 
-def doubted(equations: Equations, solution: Float[Array, "texels 3"]) -> None:
-    """Weigh pixels less, in place, that differ from what most show, as one beside a lock that shows the shirt."""
-    root = np.asarray(equations.matrix.sum(1)).ravel()
-    left = (equations.wanted - equations.matrix @ solution) / np.maximum(root, 1e-9)[:, None]
-    weight = np.sqrt(robust_weight(np.square(left).sum(1), DOUBTED)).astype(np.float32)
-    equations.matrix.data *= np.repeat(weight, np.diff(equations.matrix.indptr))
-    equations.wanted[:] *= weight[:, None]
+def doubted(equations: Equations, solution: Float[Array, "texels 3"]) -> Float[Array, "rows"]:
+    """Weigh pixels less, in place, that differ from what most show, as one beside a lock that shows the shirt; by what
+    each row was multiplied."""
+    left = (equations.wanted - equations.matrix @ solution) / np.maximum(weight_roots(equations.matrix), 1e-9)[:, None]
+    sure = np.sqrt(robust_weight(np.square(left).sum(1), DOUBTED)).astype(np.float32)
+    equations.matrix.data *= np.repeat(sure, np.diff(equations.matrix.indptr))
+    equations.wanted[:] *= sure[:, None]
+    return sure
 
 
 def _joined(pieces: list[Array]) -> Array:
@@ -272,10 +274,14 @@ def _joined(pieces: list[Array]) -> Array:
     return result
 
 
-def _rms(left: Float[Array, "rows 3"], matrix: csr_matrix) -> float:
-    """Root mean square of weighted residuals, over the weights: the rows of `matrix` sum to their square roots."""
-    weight = np.square(np.asarray(matrix.sum(1))).sum()
-    return float(np.sqrt(np.square(left).sum() / max(3 * float(weight), 1e-12)))
+def weight_roots(matrix: csr_matrix) -> Float[Array, "rows"]:
+    """Square roots of the weights that were multiplied into rows of reads, which sum to one."""
+    return np.asarray(matrix.sum(1)).ravel()
+
+
+def _rms(left: Float[Array, "rows 3"], root: Float[Array, "rows"]) -> float:
+    """Root mean square of weighted residuals, over the weights, whose square roots are `root`."""
+    return float(np.sqrt(np.square(left).sum() / max(3 * float(np.square(root).sum()), 1e-12)))
 
 
 def seam_equations(mesh: AtlasMesh, baked: BakedLevel, given: Float[Array, "texels 3"]) -> Equations:

@@ -33,7 +33,7 @@ from bake.texture.pixel_reads import (
 from bake.texture.texels import TexelMap
 from bake.texture.texture_solve import Equations, Prior, neighbour_pairs, shown_range, solve_change, within_shown
 from bake.texture.video_texture import averaged, averaging, doubted, solve_texture, strange_on_hair
-from capture.folder import PartVideo
+from capture.folder import PartVideo, read_capture
 from command.errors import AssetError
 from geometry.mesh import TriangleMesh
 from player.scene.mannequin import mannequin
@@ -331,14 +331,48 @@ def test_the_heads_video_is_not_believed_under_the_chin_of_estimated_people(pain
     assert vertex_importance(low, "body")[(height < chin) & (made == 1)].min() == 1
 
 
+def test_the_chin_of_estimated_people_is_found_with_their_videos(filmed, tmp_path):
+    folder, facts = filmed
+    found = run_videos(folder / "run", facts, None)
+    assert found.estimated and found.chin == read_capture(folder / "capture").chin is not None
+    write_capture(tmp_path / "capture", size=16, frames=1)
+    at = tmp_path / "capture" / "capture.json"
+    at.write_text(json.dumps(json.loads(at.read_text()) | {"pose_noise_deg": 0}))
+    (tmp_path / "run").mkdir()
+    made = facts | {"capture_at": capture_place(tmp_path / "capture", tmp_path / "run")}
+    assert run_videos(tmp_path / "run", made, None).chin is None
+
+
+def test_what_one_frame_shows_alone_is_doubted_and_still_counts_in_what_is_said(painted, videos, monkeypatch):
+    """Of estimated people: a patch of magenta in one frame of the body, as of somebody's hand that passes."""
+    body = videos.video("body")
+    images = body.images.copy()
+    images[0, 40:60, 40:56] = [255, 0, 255]
+    spoilt = {**videos.found, "body": replace(body, images=images)}
+    level = painted.levels[0]
+    grey = level_of_file(replace(level, base_color=np.full_like(level.base_color, 128)))
+
+    def solved(found, doubt):
+        monkeypatch.setattr(video_texture, "DOUBTED", doubt)
+        filmed = replace(videos, estimated=True, found=found)
+        return solve_texture(grey, painted.joint_positions, filmed, lambda line: None)
+
+    clean, doubted_one, believed = solved(videos.found, 1e3), solved(spoilt, 0.15), solved(spoilt, 1e3)
+    off = [np.square(one.image - clean.image).sum() for one in (doubted_one, believed)]
+    # two or three frames show a place: the patch is doubted as far as the others outvote it
+    assert off[0] < 0.9 * off[1]
+    assert doubted_one.facts["body"]["rms_after"] > believed.facts["body"]["rms_after"]
+
+
 def test_a_pixel_that_shows_something_else_counts_less():
     shown = np.float32([[0.3], [0.3], [0.3], [0.9]]) * np.ones((1, 3), np.float32)
     one = csr_matrix(np.ones((4, 1), np.float32))
     equations = Equations(one, shown.copy())
-    doubted(equations, np.full((1, 3), 0.3, np.float32))
+    sure = doubted(equations, np.full((1, 3), 0.3, np.float32))
     weight = np.square(equations.matrix.toarray().ravel())
     np.testing.assert_allclose(weight[:3], 1, atol=1e-5)
     assert weight[3] < 0.01
+    np.testing.assert_allclose(sure, np.sqrt(weight), rtol=1e-5)
     np.testing.assert_allclose(equations.wanted[3], 0.9 * np.sqrt(weight[3]), rtol=1e-5)
 
 

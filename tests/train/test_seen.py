@@ -7,6 +7,7 @@ import pytest
 import torch
 from tiny import tiny_training
 
+from avatar.skeleton import PARTS
 from capture.folder import read_capture
 from capture.light.seen_colors import seen_colors
 from train.command import TrainOptions
@@ -58,6 +59,20 @@ def test_vertices_that_no_video_shows_take_their_neighbours_color(tiny_capture):
     for video in capture.videos.values():
         video.masks[:] = False
     assert (seen_colors(capture, {}) == 0.5).all()
+
+
+def test_of_people_fitted_here_the_heads_video_paints_nothing_under_the_chin(tiny_capture):
+    made = read_capture(tiny_capture)
+    made.videos["head"].images[:] = [0, 204, 0]
+    here = replace(made, facts={**made.facts, "source": "video"})
+    subject, chin = made.subject, made.chin
+    low = (subject.part == PARTS.index("head")) & (subject.vertices[:, 1] < chin - 0.005)
+    green = np.linalg.norm(seen_colors(made, {}) - [0, 0.8, 0], axis=1) < 0.02
+    painted = np.linalg.norm(seen_colors(here, {}) - [0, 0.8, 0], axis=1) < 0.02
+    # what neither video shows is filled from its neighbours
+    assert (low & green).sum() > 100 and (low & painted).sum() < 0.3 * (low & green).sum()
+    high = subject.vertices[:, 1] > chin + 0.02
+    assert (painted & high).sum() > 0.9 * (green & high).sum() > 500
 
 
 def test_a_color_grid_gives_back_its_nodes_and_is_linear_between_them():

@@ -11,11 +11,13 @@ from filmed_part import rays_of
 from sphere_field import SMALL, assert_same_bits, sphere_field, turned_head
 from tiny import TINY
 
+from avatar.skeleton import PARTS
 from capture.template.parts import Box, Part, part_boxes
 from capture.template.surface import surface_cloud, visible_faces
 from command.errors import AssetError
 from experiments.variants import VARIANTS, seam_steps, variant
 from train.appearance import CodeSteps, match_appearance, overlap_rays
+from train.field import unit_normals
 from train.fused import FusedField
 from train.objective import ray_tensors
 from train.preset import DEMO
@@ -348,3 +350,20 @@ def test_seam_steps_are_what_they_say(run, capture):
     for name, step in steps.items():
         assert abs(far[name]["step_mm"] - 4) < 1.1 * step["step_mm"] + 0.01, name
         assert far[name]["color_step"] == pytest.approx(step["color_step"], abs=2.0)
+
+
+def test_a_part_goes_back_to_its_template_and_the_others_stay(tiny_run):
+    run = read_run(tiny_run)
+    fused, hand = run.field, PARTS.index("hand_left")
+    source = run.bake_source
+    assert source.with_templates is not None
+    back = source.with_templates({"hand_left"})
+    surface = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
+    of_hand = surface[fused.shares(surface)[:, hand] == 1]
+    elsewhere = surface[fused.shares(surface)[:, hand] == 0]
+    template = fused.field(hand).template(of_hand)
+    assert (fused.distance(of_hand) - template).abs().max() > 1e-5
+    torch.testing.assert_close(back.distance(of_hand), template)
+    torch.testing.assert_close(back.normal(of_hand), unit_normals(fused.field(hand).template.sample(of_hand)[1]))
+    torch.testing.assert_close(back.distance(elsewhere), fused.distance(elsewhere))
+    assert not fused.field(hand).keeps_template
