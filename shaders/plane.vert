@@ -5,8 +5,10 @@ uniform vec4 clip_from_plane[3];  // of x, of z, of the anchor
 uniform vec4 reach;               // x0, z0, x1, z1 about the anchor, metres
 
 out vec2 place;  // x, z about the anchor, metres
+out vec2 at;     // the same as a share of the rectangle, [0,1]
 
 void main() {
-    place = vec2((gl_VertexID & 1) == 0 ? reach.x : reach.z, (gl_VertexID >> 1) == 0 ? reach.y : reach.w);
+    at = vec2(gl_VertexID & 1, gl_VertexID >> 1);
+    place = mix(reach.xy, reach.zw, at);
     gl_Position = clip_from_plane[0] * place.x + clip_from_plane[1] * place.y + clip_from_plane[2];
 }

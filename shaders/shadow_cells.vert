@@ -1,14 +1,17 @@
 #version 330
 // The cells of a shadow mask that a shadow can reach, one an instance, on a level plane: in software a pixel of shadow
 // costs more than the body's, and most of the mask is empty. Mirrored by player/effects/shadow.py.
+#include "shadow_smoothed.glsl"
+
 const int CELL = 4;  // mip whose texels are the cells
 
 uniform vec4 clip_from_plane[3];  // as in plane.vert
 uniform float across;             // of the mask, metres
 uniform int reach;                // cells that an edge is wide, at most
-uniform sampler2D mask;
+uniform float search;             // mip in which shadow.frag's height is looked for
 
-out vec2 at;  // on the mask, [0,1]
+out vec2 at;     // on the mask, [0,1]
+out vec2 about;  // the mask over the breadth that is searched
 
 void main() {
     int cells = textureSize(mask, CELL).x;
@@ -20,6 +23,7 @@ void main() {
         }
     }
     at = (vec2(cell) + vec2(gl_VertexID & 1, gl_VertexID >> 1)) / float(cells);
+    about = smoothed(at, search);
     vec2 place = at * across;
     vec4 here = clip_from_plane[0] * place.x + clip_from_plane[1] * place.y + clip_from_plane[2];
     // an empty cell has no corners

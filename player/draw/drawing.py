@@ -1,9 +1,9 @@
 """One frame while it is drawn: what passes decide by, and what they share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from ctypes import c_int, c_uint
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import moderngl
 import numpy as np
@@ -14,6 +14,7 @@ from player.draw.posing import PosedBones, ScreenBounds
 from player.draw.resources import Handle, Image, PlanResources
 from player.gl.blocks import BINDING, FRAME
 
+T = TypeVar("T")
 Pose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]  # axis-angle, pelvis joint in world
 # metres a second of the root, and radians from one frame to the next: beyond them a motion jumps
 FASTEST, TURNED = 15.0, np.radians(60.0)
@@ -75,6 +76,7 @@ class Drawing:
     reaches: list[float]
     _written: set[Handle[moderngl.Buffer]] = field(default_factory=set)
     _begun: bool = False
+    _found: dict[Hashable, Any] = field(default_factory=dict)
 
     @property
     def gl(self) -> moderngl.Context:
@@ -110,6 +112,12 @@ class Drawing:
         left, top = np.clip(boxes[:, :2].min(0) - margin, 0, size).astype(int).tolist()
         right, bottom = np.ceil(np.clip(boxes[:, 2:].max(0) + margin, 0, size)).astype(int).tolist()
         return left, top, right, bottom
+
+    def once(self, key: Hashable, find: Callable[[], T]) -> T:
+        """What is found once a frame, by the first that asks for it by this key."""
+        if key not in self._found:
+            self._found[key] = find()
+        return self._found[key]
 
     def write(self, handle: Handle[moderngl.Buffer], content: Callable[[], bytes | np.ndarray]) -> moderngl.Buffer:
         """The buffer, with its content of this frame: written by the first pass that reads it."""

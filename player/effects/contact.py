@@ -11,16 +11,16 @@ from typing import Annotated, ClassVar, NamedTuple
 
 import moderngl
 import numpy as np
-from jaxtyping import Float, Int, UInt32
+from jaxtyping import Int
 
 from avatar.camera import view_from_world
 from command.settings import Above, AtLeast, AtMost, settings
-from player.draw.drawing import Drawing
-from player.draw.plan import Attributes, Decision, Draft, Pass, PassState, Stage
+from player.draw.drawing import Drawing, Warming
+from player.draw.plan import Attributes, Decision, Draft, Pass, PassState, Stage, clamped
 from player.draw.posed_mesh import normals_of
 from player.draw.resources import Handle, PlanResources
 from player.effects.contact_capsules import LEAST, Capsules, capsules_of
-from player.effects.ground_plane import PassBehind, Sheet, draw_behind
+from player.effects.ground_plane import PassBehind, Sheet, behind_parts, target_of
 from player.gl.blocks import CAPSULES
 from player.gl.shader import set_uniforms
 
@@ -30,12 +30,8 @@ SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {SMALLEST} pixels 
 RUNS = Decision(PassState.RUNS, "asked for")
 # on the ground capsules are as thick as the body: they are thin so as to stay inside it
 GROWN = 2.0
-# cells of the ground each way, drawn where a capsule reaches; shaders/contact_floor.vert
-CELLS = 24
-# low capsules that a cell's pixels look at, at most: cells are drawn in as many goes
-COUNTS = (0, 1, 2, 4, 6)
-# in widths of a cell: what stays this high above the ground is looked at in the corners of cells
-HIGH = 3.0
+# texels a side of the ground that it darkens
+SIDE = 64
 ATTRIBUTES = ("1u4 1f4", "spared", "rest")
 VERTEX = np.dtype([("spared", "u4"), ("rest", "f4")])
 
@@ -57,12 +53,15 @@ class Contact:
     def _floor(self, draft: Draft, touch: "AvatarContact") -> "ContactFloorPass":
         tag = draft.tag(touch.avatar)
         block = draft.buffer(f"{tag} capsules near the ground", CAPSULES.itemsize, touch.avatar)
-        cells = draft.buffer(f"{tag} ground cells", 24 * CELLS**2, touch.avatar)
-        program = draft.program("contact_floor.vert", "contact_floor.frag")
-        array = draft.array(program, faces=cells)
-        uses = (*draft.behind_avatars, block, cells, array)
+        hidden = draft.texture(
+            f"{tag} sky hidden from the ground", SIDE * SIDE, touch.avatar,
+            make=lambda made: clamped(made.context.gl.texture((SIDE, SIDE), 1)),
+        )  # fmt: skip
+        target, finding = target_of(draft, hidden), draft.program("screen.vert", "contact_floor.frag")
+        found = draft.array(finding)
+        parts = behind_parts(draft, "plane.vert", "laid.frag", block, hidden, target, found, samplers=("soft",))
         name = f"contact: {tag} on the ground"
-        return ContactFloorPass(name, uses, draft.layer, program, array, self, touch, block, cells)
+        return ContactFloorPass(name, *parts, self, touch, block, hidden, target, finding, found)
 
 
 @dataclass(frozen=True)
@@ -127,9 +126,13 @@ class ContactFloorPass(PassBehind):
 
     settings: Contact
     contact: AvatarContact
-    # the capsules near the ground, and the triangles of the cells they reach
+    # the capsules near the ground
     block: Handle[moderngl.Buffer]
-    cells: Handle[moderngl.Buffer]
+    # how much of the sky they hide, and what finds it
+    hidden: Handle[moderngl.Texture]
+    target: Handle[moderngl.Framebuffer]
+    finding: Handle[moderngl.Program]
+    found: Handle[moderngl.VertexArray]
 
     def decide(self, drawing: Drawing) -> Decision:
         under = self._under(drawing)
@@ -138,37 +141,39 @@ class ContactFloorPass(PassBehind):
         return RUNS if self.contact.shows(drawing) else SMALL
 
     def draw(self, drawing: Drawing) -> None:
-        """The cells that a capsule reaches, those that need few of them apart from those that need all."""
-        under, resources, camera = self._under(drawing), drawing.resources, drawing.inputs.camera
+        under, view = self._under(drawing), view_from_world(drawing.inputs.camera)
         assert under is not None
-        sheet = under.sheet
-        drawing.bind(self.block, "Capsules", lambda: self.contact.content(drawing, under.near))
-        triangles, batches = under.triangles()
-        drawing.write(self.cells, lambda: triangles)
-        program, view = resources[self.program], view_from_world(camera)
+        sheet, near = under
+        resources = drawing.resources
+        drawing.bind(self.block, "Capsules", lambda: self.contact.content(drawing, near))
         columns = np.stack([view[:3, 0], view[:3, 2], view[:3] @ np.append(sheet.anchor, 1.0)])
         set_uniforms(
-            program, view_from_plane=columns, up=tuple(view[:3, 1].tolist()), grown=GROWN, across=sheet.reach[2:],
-            strength=self.settings.strength, high=(under.low, len(under.near)),
+            resources[self.finding], view_from_plane=columns, up=tuple(view[:3, 1].tolist()), grown=GROWN,
+            texel=tuple(across / SIDE for across in sheet.reach[2:]), count=len(near),
         )  # fmt: skip
-
-        def draw(flipped: bool) -> None:
-            sheet.apply(program, camera, flipped=flipped)
-            first = 0
-            for count, size in batches:
-                set_uniforms(program, count=count)
-                resources[self.array].render(vertices=3 * size, first=3 * first)
-                first += size
-
-        draw_behind(drawing, self.layer, draw)
+        self._find(resources)
+        set_uniforms(resources[self.program], reach=sheet.reach, strength=self.settings.strength)
+        self.draw_sheet(drawing, sheet)
 
     def render(self, resources: PlanResources) -> None:
-        """One triangle that darkens nothing."""
-        resources.bind_zeros(self.block, "Capsules")
-        resources[self.cells].write(bytes(self.cells.bytes))
-        resources[self.array].render(vertices=3)
+        resources[self.hidden].use(0)
+        super().render(resources)
+
+    def warm(self, warming: Warming) -> None:
+        warming.resources.bind_zeros(self.block, "Capsules")
+        self._find(warming.resources)
+        super().warm(warming)
+
+    def _find(self, resources: PlanResources) -> None:
+        """What the capsules that are bound hide of the sky."""
+        resources[self.target].use()
+        resources.context.gl.enable_only(0)
+        resources[self.found].render(moderngl.TRIANGLES, vertices=3)
 
     def _under(self, drawing: Drawing) -> "Under | None":
+        return drawing.once(self.block, lambda: self._find_under(drawing))
+
+    def _find_under(self, drawing: Drawing) -> "Under | None":
         """The ground under what is near it."""
         capsules = self.contact.body()
         world_from_view = np.linalg.inv(view_from_world(drawing.inputs.camera))
@@ -189,45 +194,12 @@ class ContactFloorPass(PassBehind):
         flat = ends[:, near][..., [0, 2]]
         first = (flat.min(0) - reach[near, None]).min(0)
         across = (flat.max(0) + reach[near, None]).max(0) - first
-        is_high = low[near] > HIGH * across.max() / CELLS
-        # the low ones first, and of these the far reaching: most cells need no others
-        order = np.lexsort((-reach[near], is_high))
-        near, flat = near[order], flat[:, order] - first
         anchor = np.array([first[0], self.settings.height, first[1]])
-        sheet = Sheet(anchor, (0.0, 0.0, *across.tolist()))
-        return Under(sheet, near, flat, reach[near], int((~is_high).sum()))
+        return Under(Sheet(anchor, (0.0, 0.0, *across.tolist())), near)
 
 
 class Under(NamedTuple):
-    """The ground that an avatar can darken."""
+    """The ground that an avatar can darken, and which of its capsules do."""
 
     sheet: Sheet
-    # which of its capsules: the low ones first, of these the farthest reaching
     near: Int[np.ndarray, "near"]
-    # where these stand on the sheet, and how far they reach, metres
-    ends: Float[np.ndarray, "2 near 2"]
-    reach: Float[np.ndarray, "near"]
-    # how many are low
-    low: int
-
-    def triangles(self) -> tuple[UInt32[np.ndarray, "triangles 3"], list[tuple[int, int]]]:
-        """Triangles of the cells that a capsule reaches, all within its reach of its middle line; and in their order,
-        how many of the low capsules how many of the triangles need: COUNTS, and all."""
-        side = np.array(self.sheet.reach[2:]) / CELLS
-        column, row = np.meshgrid(np.arange(CELLS), np.arange(CELLS))
-        middle = (np.stack([column, row], -1).reshape(-1, 1, 2) + 0.5) * side
-        start, along = self.ends[0], self.ends[1] - self.ends[0]
-        share = ((middle - start) * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-12)
-        away = np.linalg.norm(middle - start - np.clip(share, 0, 1)[..., None] * along, axis=-1)
-        reached = away <= self.reach + 0.5 * np.linalg.norm(side)
-        seen = reached.any(1)
-        # one more than the last low one that reaches it, 0 where none does
-        needs = (reached[:, : self.low] * np.arange(1, self.low + 1)).max(1, initial=0)
-        counts = [*(count for count in COUNTS if count < self.low), self.low]
-        batch = np.searchsorted(counts, needs)
-        order = np.flatnonzero(seen)[np.argsort(batch[seen], kind="stable")]
-        a = (column + (CELLS + 1) * row).reshape(-1)[order].astype(np.uint32)
-        b, c, d = a + 1, a + CELLS + 1, a + CELLS + 2
-        sizes = np.bincount(batch[order], minlength=len(counts)).tolist()
-        batches = [(count, 2 * size) for count, size in zip(counts, sizes, strict=True) if size]
-        return np.stack([a, b, c, c, b, d], 1).reshape(-1, 3), batches

@@ -54,17 +54,17 @@ class Ground:
         passes: list[Pass] = []
         if self.kind != "shadow":
             # checks stay where they are in the world
-            step = 2 * self.check if self.kind == "checker" else 0.0
+            checked = self.kind == "checker"
+            step = 2 * self.check if checked else 0.0
+            parts = behind_parts(draft, "plane.vert", "floor.frag", CHECKS=int(checked))
+            running = Decision(PassState.RUNS, self.kind)
             passes.append(
-                SquarePass(
-                    "ground: floor", *behind_parts(draft, "plane.vert", "floor.frag"), self.height, self.radius, OPAQUE,
-                    step, self._paint, Decision(PassState.RUNS, self.kind),
-                )
-            )  # fmt: skip
+                SquarePass("ground: floor", *parts, self.height, self.radius, OPAQUE, step, self._paint, running)
+            )
         if self.strength > 0:
             passes += shadow_passes(draft, self.direction, self.strength, self.softness, self.height)
         return passes
 
     def _paint(self, sheet: Sheet) -> Uniforms:
-        check = self.check if self.kind == "checker" else 0.0
-        return {"paint": self.color[:3], "other": OTHER_CHECKS, "check": check}
+        checks = {"other": OTHER_CHECKS, "check": self.check} if self.kind == "checker" else {}
+        return {"paint": self.color[:3], **checks}

@@ -111,12 +111,19 @@ class SquarePass(PassBehind):
 
 
 def behind_parts(
-    draft: Draft, vertex: str, fragment: str, *more: AnyHandle, samplers: Sequence[str] = ()
+    draft: Draft, vertex: str, fragment: str, *more: AnyHandle, samplers: Sequence[str] = (), **defines: int
 ) -> tuple[tuple[AnyHandle, ...], Layer, Handle[moderngl.Program], Handle[moderngl.VertexArray]]:
     """What such a pass begins with, after its name; more: what it reads beside its vertices."""
-    uses, program = draft.behind_avatars, draft.program(vertex, fragment, samplers=samplers)
+    uses = draft.behind_avatars
+    program = draft.program(vertex, fragment, samplers=samplers, avatar=None, constants=dict, **defines)
     array = draft.array(program)
     return (*uses, *more, array), draft.layer, program, array
+
+
+def target_of(draft: Draft, texture: Handle[moderngl.Texture]) -> Handle[moderngl.Framebuffer]:
+    """A framebuffer that draws into one texture."""
+    make = lambda made: made.context.gl.framebuffer([made[texture]])
+    return draft.need(Handle(moderngl.Framebuffer, texture.name, 0, (texture,), make))
 
 
 def draw_behind(drawing: Drawing, layer: Layer, draw: Callable[[bool], None]) -> None:

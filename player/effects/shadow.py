@@ -18,7 +18,7 @@ from avatar.camera import view_from_world
 from player.draw.drawing import Drawing, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState, clamped
 from player.draw.resources import Handle, PlanResources
-from player.effects.ground_plane import PassBehind, Sheet, behind_parts
+from player.effects.ground_plane import PassBehind, Sheet, behind_parts, target_of
 from player.effects.light import light_on
 from player.effects.secondary_motion import LooseMesh, loose_mesh
 from player.gl.shader import set_uniforms
@@ -67,9 +67,9 @@ def shadow_passes(
     edge = 2 * float(np.tan(np.radians(softness))) * float(np.hypot(np.hypot(x, z), y)) / y
     lamp = ShadowLamp((-x / y, -z / y), edge, height, side, draft.patches(), draft.dual)
     holds = draft.keep(MaskState, MaskState)
-    parts = behind_parts(draft, "shadow_cells.vert", "shadow_laid.frag", mask, soft, samplers=("mask", "soft"))
+    parts = behind_parts(draft, "shadow_cells.vert", "laid.frag", mask, soft, samplers=("mask", "soft"))
     shadow = ShadowPass("ground: shadow", *parts, strength, lamp, mask, soft, holds)
-    targets = _target_of(draft, mask), _target_of(draft, soft)
+    targets = target_of(draft, mask), target_of(draft, soft)
     owned = (*(handle for one in meshes for handle in one.handles), mask, soft, *targets, softened, softening)
     return MaskPass("ground: mask", owned, lamp, meshes, mask, targets, softened, softening, shadow, holds), shadow
 
@@ -116,24 +116,20 @@ class Footprint(NamedTuple):
 
 
 class MaskState:
-    """What the mask's texture holds, and where the shadow lies in the frame that is being drawn."""
+    """What the mask's texture holds."""
 
     def __init__(self):
         self.key: tuple[object, ...] | None = None
-        self._drawing: Drawing | None = None
-        self._here: Footprint | None = None
 
     def footprint(self, drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
-        """Where this frame's shadow lies, worked out once a frame."""
-        if self._drawing is not drawing:
-            self._drawing, self._here = drawing, footprint(drawing, lamp)
-        return self._here
+        """Where this frame's shadow lies."""
+        return drawing.once(self, lambda: footprint(drawing, lamp))
 
 
 def footprint(drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
     """The rectangle of the ground that the avatars' shadow lies in; None: nothing is above it.
 
-    Its place goes by whole steps of texels, their size by a ladder of quarter octaves: a body that moves on keeps the
+    Its place goes by whole steps of texels, their size by quarters of a power of two: a body that moves on keeps the
     grain of its outline.
     """
     world_from_view = np.linalg.inv(view_from_world(drawing.inputs.camera))
@@ -153,7 +149,8 @@ def footprint(drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
     low, high = (at - wide).min(0), (at + wide).max(0)
     # STEP at one side for the step itself, and a clear rim at both, which mips bleed over
     texel = float((high - low).max()) / (lamp.side - 3 * STEP)
-    texel = float(2.0 ** (np.ceil(4 * np.log2(texel)) / 4))
+    quarter = 2.0 ** (np.floor(np.log2(texel)) - 2)
+    texel = float(np.ceil(texel / quarter) * quarter)
     first = np.floor(low / (STEP * texel)) * STEP * texel - STEP * texel
     anchor = np.array([first[0], lamp.height, first[1]])
     across = lamp.side * texel
@@ -287,12 +284,6 @@ def _mask_texture(made: PlanResources, side: int) -> moderngl.Texture:
     texture.build_mipmaps()
     texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
     return clamped(texture)
-
-
-def _target_of(draft: Draft, texture: Handle[moderngl.Texture]) -> Handle[moderngl.Framebuffer]:
-    """A framebuffer that draws into one texture."""
-    make = lambda made: made.context.gl.framebuffer([made[texture]])
-    return draft.need(Handle(moderngl.Framebuffer, texture.name, 0, (texture,), make))
 
 
 def _lamp_of(draft: Draft, direction: tuple[float, float, float]) -> Float[np.ndarray, "3"]:

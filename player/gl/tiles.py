@@ -1,6 +1,6 @@
 """The part of the image that avatars can reach, as few rectangles: a filter of the picture runs there only.
 
-In software a filter costs what it covers: on these tiles FXAA is about half as dear as on the whole image.
+In software a filter costs what it covers.
 """
 
 import numpy as np
@@ -9,21 +9,24 @@ from numpy import ndarray as Array
 
 from avatar.baked_avatar import Level
 from avatar.camera import Camera
+from avatar.skinning import SkinWeights
 
-TILE = 16  # pixels a side
-LARGEST = 0.10  # metres; patches of the surface are split until they fit a ball of this radius
+TILE = 8  # pixels a side
+LARGEST = 0.05  # metres; patches of the surface are split until they fit a ball of this radius
 
 
 class Patches:
     """Pieces of one avatar's surface, each in a ball, with the bones that move it.
 
-    A blend of rigid motions moves the ball's centre c to a point of the hull of {B_k c} and nothing of the piece
-    farther from it than the radius: so the balls about all B_k c hold the piece in between, in every pose.
+    A blend of rigid motions moves a piece's centre c to sum w_k B_k c and nothing of the piece farther from it than the
+    radius. With w_k at most w_k,max on the piece, the centre stays on each axis between the heaviest bone's place of it
+    and that plus what the other bones, each with its largest weight, pull it aside: in every pose.
     """
 
     def __init__(self, level: Level):
-        heaviest = level.skin.heaviest
-        centers, radii, joints, first = [], [], [], []
+        all_joints, weights = level.drawn_skin
+        heaviest, weights = SkinWeights(all_joints, weights).heaviest, weights / 255.0
+        centers, radii, joints, shares, first = [], [], [], [], []
         waiting = [np.flatnonzero(heaviest == joint) for joint in np.unique(heaviest)]
         while waiting:
             piece = waiting.pop()
@@ -35,36 +38,46 @@ class Patches:
                 upper = points[:, (high - low).argmax()] > center[(high - low).argmax()]
                 waiting += [piece[upper], piece[~upper]]
                 continue
-            moved_by = np.unique(level.joints[piece][level.weights[piece] > 0])
+            share = np.zeros(level.bones)
+            np.maximum.at(share, all_joints[piece], weights[piece])
+            share[heaviest[piece[0]]] = 2.0
+            moved_by = np.argsort(-share)[: np.count_nonzero(share)]
             first.append(len(joints))
             joints += moved_by.tolist()
-            centers += [[*center, 1.0]] * len(moved_by)
-            radii += [radius] * len(moved_by)
+            shares += share[moved_by].tolist()
+            centers.append([*center, 1.0])
+            radii.append(radius)
         self.centers, self.radii = np.array(centers), np.array(radii)
+        # of each piece the heaviest bone first, then the others with their largest weight
         self.joints, self.first = np.array(joints, np.intp), np.array(first, np.intp)
+        self.piece = np.repeat(np.arange(len(first)), np.diff(first, append=len(joints)))
+        self.shares = np.array(shares)[:, None]
 
     def balls(
         self, view_from_canonical: Float[Array, "bones 4 4"], *, dual: bool, reach: float = 0.0
-    ) -> tuple[Float[Array, "balls 3"], Float[Array, "balls"]]:
+    ) -> tuple[Float[Array, "pieces 3"], Float[Array, "pieces"]]:
         """Middle in view space and radius of the balls that hold the surface, metres.
 
-        dual: the blend of screws bulges out of the hull by at most half of what the bones disagree. reach: of loose
-        parts, metres off where they are skinned to.
+        dual: the blend of screws is bound by no weight and bulges out of the hull by at most half of what the bones
+        disagree. reach: of loose parts, metres off where they are skinned to.
         """
-        points = np.einsum("nij,nj->ni", view_from_canonical[self.joints, :3], self.centers)
-        if not dual:
-            return points, self.radii + reach if reach else self.radii
-        spread = np.maximum.reduceat(points, self.first) - np.minimum.reduceat(points, self.first)
-        counts = np.diff(self.first, append=len(self.joints))
-        return points, self.radii + reach + np.repeat(0.5 * np.linalg.norm(spread, axis=1), counts)
+        places = np.einsum("nij,nj->ni", view_from_canonical[self.joints, :3], self.centers[self.piece])
+        middle = places[self.first]
+        aside = places - middle[self.piece]
+        if dual:
+            low, high = np.minimum.reduceat(aside, self.first), np.maximum.reduceat(aside, self.first)
+        else:
+            aside *= self.shares
+            low = np.add.reduceat(np.minimum(aside, 0), self.first)
+            high = np.add.reduceat(np.maximum(aside, 0), self.first)
+        half = 0.5 * np.linalg.norm(high - low, axis=1)
+        return middle + 0.5 * (low + high), self.radii + reach + (2 * half if dual else half)
 
     def boxes(
         self, view_from_canonical: Float[Array, "bones 4 4"], camera: Camera, *, dual: bool, reach: float = 0.0
-    ) -> Float[Array, "patches 4"]:
-        """Left, top, right, bottom of each patch, pixels; infinite where a ball reaches behind the eye."""
-        boxes = ball_boxes(*self.balls(view_from_canonical, dual=dual, reach=reach), camera)
-        lower = np.minimum.reduceat(boxes[:, :2], self.first)
-        return np.concatenate([lower, np.maximum.reduceat(boxes[:, 2:], self.first)], 1)
+    ) -> Float[Array, "pieces 4"]:
+        """Left, top, right, bottom of each piece, pixels; infinite where a ball reaches behind the eye."""
+        return ball_boxes(*self.balls(view_from_canonical, dual=dual, reach=reach), camera)
 
 
 def ball_boxes(
@@ -92,13 +105,16 @@ def ball_boxes(
 
 def covered(boxes: Float[Array, "boxes 4"], size: tuple[int, int], margin: int) -> Bool[Array, "rows columns"]:
     """Tiles that boxes, grown by `margin` pixels, touch."""
-    tiles = np.zeros((-(-size[1] // TILE), -(-size[0] // TILE)), bool)
-    rows, columns = tiles.shape
+    rows, columns = -(-size[1] // TILE), -(-size[0] // TILE)
     ends = np.clip(boxes + np.array([-margin, -margin, margin, margin]), -TILE, TILE * (max(rows, columns) + 1))
-    cells = np.floor(ends / TILE).astype(int)
-    for left, top, right, bottom in cells.tolist():
-        tiles[max(top, 0) : max(bottom + 1, 0), max(left, 0) : max(right + 1, 0)] = True
-    return tiles
+    left, top, right, bottom = np.floor(ends / TILE).astype(int).T
+    left, right = np.clip([left, right + 1], 0, columns)
+    top, bottom = np.clip([top, bottom + 1], 0, rows)
+    # how many boxes hold a tile: summed from their corners
+    corners = np.zeros((rows + 1, columns + 1), int)
+    for row, column, step in ((top, left, 1), (top, right, -1), (bottom, left, -1), (bottom, right, 1)):
+        np.add.at(corners, (row, column), step)
+    return corners.cumsum(0).cumsum(1)[:-1, :-1] > 0
 
 
 def rectangles(

@@ -8,9 +8,8 @@ from glsl_probe import probe
 
 from avatar.camera import orbit_camera, view_from_world
 from player.draw.posing import Poser, grounded
-from player.effects.contact import AWAY, CELLS, GROWN, Contact, Under
+from player.effects.contact import AWAY, GROWN, Contact
 from player.effects.contact_capsules import BONES, OWNERS, capsules_of, openness
-from player.effects.ground_plane import Sheet
 from player.effects.light import Light
 from player.gl.blocks import CAPSULES
 from player.scene.effects import PLAIN
@@ -91,18 +90,9 @@ def test_the_ground_is_dark_under_feet_and_nowhere_far(render, gray, crouching):
     row, column = np.nonzero(~body & (ground < 255))
     chosen = np.random.default_rng(0).choice(len(row), 200)
     truth = expected(column[chosen] + 0.5, row[chosen] + 0.5)
-    assert np.abs(ground[row[chosen], column[chosen]] - 255 * truth).max() <= 1.5
-
-
-def test_pixels_look_at_low_capsules_alone_and_corners_of_cells_at_high_ones():
-    """One low capsule in a corner of the ground, and a high one that reaches all of it."""
-    ends = np.array([[0.1, 0.1], [0.6, 0.6]])
-    under = Under(
-        Sheet(np.zeros(3), (0.0, 0.0, 1.2, 1.2)), np.array([7, 2]), np.stack([ends, ends]), np.array([0.1, 2.0]), 1
-    )
-    triangles, batches = under.triangles()
-    assert [count for count, _ in batches] == [0, 1]
-    assert len(triangles) == 2 * CELLS**2 == sum(size for _, size in batches) and batches[0][1] > 0.9 * len(triangles)
+    off = np.abs(ground[row[chosen], column[chosen]] - 255 * truth)
+    # found in texels of the ground some centimetres wide: most wrong where what hides the sky stops growing
+    assert off.mean() <= 0.75 and off.max() <= 10
 
 
 def _on_the_ground(avatar, pose):

@@ -1,9 +1,9 @@
 #version 330
-// The softened shadow (shadow.frag) on the ground. Black, premultiplied.
+// How dark a level plane is, from a texture of it. Black, premultiplied.
 uniform sampler2D soft;
 uniform float strength;
 
-in vec2 at;  // on the mask, [0,1]
+in vec2 at;  // on the texture, [0,1]
 
 out vec4 color;
 
