@@ -12,7 +12,7 @@ from avatar.camera import Camera
 from avatar.skinning import SkinWeights
 
 TILE = 8  # pixels a side
-LARGEST = 0.05  # metres; patches of the surface are split until they fit a ball of this radius
+LARGEST = 0.07  # metres; a patch of the surface fits a ball of this radius
 
 
 class Patches:
@@ -25,33 +25,29 @@ class Patches:
 
     def __init__(self, level: Level):
         all_joints, weights = level.drawn_skin
-        heaviest, weights = SkinWeights(all_joints, weights).heaviest, weights / 255.0
-        centers, radii, joints, shares, first = [], [], [], [], []
-        waiting = [np.flatnonzero(heaviest == joint) for joint in np.unique(heaviest)]
-        while waiting:
-            piece = waiting.pop()
-            points = level.positions[piece].astype(np.float64)
-            low, high = points.min(0), points.max(0)
-            center = 0.5 * (low + high)
-            radius = float(np.linalg.norm(points - center, axis=1).max())
-            if radius > LARGEST:
-                upper = points[:, (high - low).argmax()] > center[(high - low).argmax()]
-                waiting += [piece[upper], piece[~upper]]
-                continue
-            share = np.zeros(level.bones)
-            np.maximum.at(share, all_joints[piece], weights[piece])
-            share[heaviest[piece[0]]] = 2.0
-            moved_by = np.argsort(-share)[: np.count_nonzero(share)]
-            first.append(len(joints))
-            joints += moved_by.tolist()
-            shares += share[moved_by].tolist()
-            centers.append([*center, 1.0])
-            radii.append(radius)
-        self.centers, self.radii = np.array(centers), np.array(radii)
+        heaviest = SkinWeights(all_joints, weights).heaviest
+        # a piece is what one bone moves most of the surface in one cell, whose corner is LARGEST from its middle
+        cells = np.floor(level.positions * (np.sqrt(3) / (2 * LARGEST))).astype(np.int64)
+        cells -= cells.min(0)
+        place = np.ravel_multi_index(cells.T, cells.max(0) + 1) * level.bones + heaviest
+        _, piece_of = np.unique(place, return_inverse=True)
+        order = np.argsort(piece_of, kind="stable")
+        starts = np.flatnonzero(np.diff(piece_of[order], prepend=-1))
+        points = level.positions[order].astype(np.float64)
+        low, high = np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts)
+        middles, pieces = 0.5 * (low + high), np.arange(len(starts))
+        aside = np.linalg.norm(points - middles[piece_of[order]], axis=1)
+        self.centers = np.pad(middles, ((0, 0), (0, 1)), constant_values=1.0)
+        self.radii = np.maximum.reduceat(aside, starts)
+        largest = np.zeros((len(starts), level.bones))
+        np.maximum.at(largest, (piece_of[:, None], all_joints), weights / 255.0)
         # of each piece the heaviest bone first, then the others with their largest weight
-        self.joints, self.first = np.array(joints, np.intp), np.array(first, np.intp)
-        self.piece = np.repeat(np.arange(len(first)), np.diff(first, append=len(joints)))
-        self.shares = np.array(shares)[:, None]
+        largest[pieces, heaviest[order[starts]]] = 2.0
+        self.piece, self.joints = np.nonzero(largest)
+        by_weight = np.lexsort((-largest[self.piece, self.joints], self.piece))
+        self.piece, self.joints = self.piece[by_weight], self.joints[by_weight]
+        self.shares = largest[self.piece, self.joints][:, None]
+        self.first = np.flatnonzero(np.diff(self.piece, prepend=-1))
 
     def balls(
         self, view_from_canonical: Float[Array, "bones 4 4"], *, dual: bool, reach: float = 0.0
