@@ -19,6 +19,13 @@ from numpy import ndarray as Array
 from command.errors import AssetError
 from files.npz import read_npz
 
+# of a chart at most, square metres times its part's density squared: larger ones are squeezed, slow and hard to pack
+CHART_AREA = 0.15
+# share of the usual texels, below which a triangle counts as squeezed, if it has so much area in square metres
+SQUEEZED, SEEN_AREA = 0.33, 1e-6
+# of packing, at most: each gives a chart of their own to those that were squeezed
+ROUNDS = 3
+
 
 class Unwrapped(NamedTuple):
     """A mesh cut into charts: an atlas vertex is one vertex of the mesh in one chart."""
@@ -87,39 +94,71 @@ def unwrap(
 
 
 def pack(vertices: Array, faces: Array, face_part: Array, density: Array, size: int, padding: int) -> Unwrapped:
-    """What `unwrap` runs in its process: one xatlas mesh per part, scaled by the part's density."""
+    """What `unwrap` runs in its process. A triangle that its chart squeezes together gets a chart beside it."""
+    group = 2 * face_part
+    for _ in range(ROUNDS):
+        packed = _pack_groups(vertices, faces, group, density, size, padding)
+        # as `_pack_groups` gives them back
+        order = np.argsort(face_part, kind="stable")
+        squeezed = order[
+            _squeezed(vertices[packed.source][packed.faces], size * packed.uv[packed.faces], density[packed.face_part])
+        ]
+        if not len(squeezed):
+            break
+        group[squeezed] |= 1
+    return packed
+
+
+def _squeezed(corners: Array, uv: Array, density: Array) -> Integer[Array, "squeezed"]:
+    """Triangles that in one direction get less than SQUEEZED of the texels that most of their part's get, by number.
+
+    corners: (faces, 3, 3) metres; uv: (faces, 3, 2) texels.
+    """
+    along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    length = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
+    x, height = (along * across).sum(1) / length, np.linalg.norm(np.cross(along, across), axis=1) / length
+    first = (uv[:, 1] - uv[:, 0]) / length[:, None]
+    second = (uv[:, 2] - uv[:, 0] - x[:, None] * first) / np.maximum(height, 1e-9)[:, None]
+    least = np.linalg.svd(np.stack([first, second], 2), compute_uv=False)[:, 1] / density
+    return np.flatnonzero((least < SQUEEZED * np.median(least)) & (0.5 * length * height > SEEN_AREA))
+
+
+def _pack_groups(vertices: Array, faces: Array, group: Array, density: Array, size: int, padding: int) -> Unwrapped:
+    """One xatlas mesh per group of triangles, each of the part of half its number, scaled by the part's density."""
     import xatlas
 
-    atlas = xatlas.Atlas()
-    used = []
-    for part in np.unique(face_part):
-        own = np.flatnonzero(face_part == part)
+    atlas, used = xatlas.Atlas(), []
+    for number in np.unique(group):
+        own = np.flatnonzero(group == number)
         kept, local = np.unique(faces[own], return_inverse=True)
         atlas.add_mesh(
-            np.ascontiguousarray(vertices[kept] * density[part], np.float32),
+            np.ascontiguousarray(vertices[kept] * density[number // 2], np.float32),
             np.ascontiguousarray(local.reshape(-1, 3), np.uint32),
         )
-        used.append((int(part), own, kept))
-    options = xatlas.PackOptions()
+        used.append((own, kept))
+    charting, options = xatlas.ChartOptions(), xatlas.PackOptions()
+    charting.max_chart_area = CHART_AREA
     # the packer overshoots the size it is asked for by about a fifth: the gutter is asked in its texels
     options.resolution = int(size * 0.82)
     options.padding = padding
     options.bilinear = True
-    options.create_image = False
-    atlas.generate(xatlas.ChartOptions(), options)
+    options.create_image = options.rotate_charts = False
+    atlas.generate(charting, options)
     if atlas.atlas_count > 1:
         raise RuntimeError(f"{atlas.atlas_count} atlases")
     pieces, start, charts = [], 0, 0
-    for i, (part, own, kept) in enumerate(used):
+    for i, (own, kept) in enumerate(used):
         mapping, indices, coordinates = atlas[i]
         mapping, indices, coordinates = place_degenerate_faces(atlas, i, mapping, indices.astype(np.int64), coordinates)
         if len(indices) != len(own):
-            raise RuntimeError(f"part {part}: {len(own)} triangles in, {len(indices)} out")
-        pieces.append((kept[mapping], coordinates, indices + start, np.full(len(indices), part)))
+            raise RuntimeError(f"{len(own)} triangles in, {len(indices)} out")
+        pieces.append((kept[mapping], coordinates, indices + start))
         start += len(mapping)
         charts += atlas.get_mesh_chart_count(i)
-    source, uv, triangles, parts = (np.concatenate(column) for column in zip(*pieces, strict=True))
-    return Unwrapped(source, uv, triangles, parts, charts, float(atlas.utilization))
+    source, uv, triangles = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    own = np.concatenate([own for own, _ in used])
+    order = np.lexsort((own, group[own] // 2))
+    return Unwrapped(source, uv, triangles[order], group[own][order] // 2, charts, float(atlas.utilization))
 
 
 def place_degenerate_faces(atlas: Any, number: int, mapping: Array, indices: Array, uv: Array) -> tuple:

@@ -132,11 +132,11 @@ def pick(
         p = np.cross(direction, c - a)
         determinant = (p * (b - a)).sum(1)
         q = np.cross(-a, b - a)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u = -(a * p).sum(1) / determinant
-            v = (q @ direction) / determinant
-            t = (q * (c - a)).sum(1) / determinant
-        hit = (determinant > 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+        # triangles without area, or seen from behind, are not hit
+        faces_us = determinant > 0
+        scale = 1 / np.where(faces_us, determinant, 1.0)
+        u, v, t = -(a * p).sum(1) * scale, (q @ direction) * scale, (q * (c - a)).sum(1) * scale
+        hit = faces_us & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
         if not hit.any():
             continue
         face = int(np.argmin(np.where(hit, t, np.inf)))
