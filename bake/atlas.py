@@ -95,21 +95,18 @@ def unwrap(
 
 def pack(vertices: Array, faces: Array, face_part: Array, density: Array, size: int, padding: int) -> Unwrapped:
     """What `unwrap` runs in its process. A triangle that its chart squeezes together gets a chart beside it."""
-    group = 2 * face_part
+    group, order = 2 * face_part, np.argsort(face_part, kind="stable")
     for _ in range(ROUNDS):
         packed = _pack_groups(vertices, faces, group, density, size, padding)
-        # as `_pack_groups` gives them back
-        order = np.argsort(face_part, kind="stable")
-        squeezed = order[
-            _squeezed(vertices[packed.source][packed.faces], size * packed.uv[packed.faces], density[packed.face_part])
-        ]
-        if not len(squeezed):
+        corners = vertices[packed.source][packed.faces]
+        narrow = order[squeezed(corners, size * packed.uv[packed.faces], density[packed.face_part])]
+        if not len(narrow):
             break
-        group[squeezed] |= 1
+        group[narrow] |= 1
     return packed
 
 
-def _squeezed(corners: Array, uv: Array, density: Array) -> Integer[Array, "squeezed"]:
+def squeezed(corners: Array, uv: Array, density: Array) -> Integer[Array, "squeezed"]:
     """Triangles that in one direction get less than SQUEEZED of the texels that most of their part's get, by number.
 
     corners: (faces, 3, 3) metres; uv: (faces, 3, 2) texels.

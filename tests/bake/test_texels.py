@@ -102,7 +102,7 @@ def test_bytes_are_rounded_not_truncated():
 def test_squeezed_triangles_get_charts_of_their_own_and_the_order_stays(chart, monkeypatch):
     mesh, part, _ = chart
     calls, packed = [], atlas._pack_groups
-    monkeypatch.setattr(atlas, "_squeezed", lambda *_: np.array([3, 4] if len(calls) == 1 else [], int))
+    monkeypatch.setattr(atlas, "squeezed", lambda *_: np.array([3, 4] if len(calls) == 1 else [], int))
     monkeypatch.setattr(atlas, "_pack_groups", lambda *given: (calls.append(given[2].copy()), packed(*given))[1])
     found = atlas.pack(mesh.vertices, mesh.faces, part, np.array([1.0, 2.5]), SIZE, 4)
     order = np.argsort(part, kind="stable")
@@ -117,4 +117,4 @@ def test_a_triangle_that_is_squeezed_one_way_is_found_whatever_its_part_s_densit
     density = np.array([1.0, 1, 1, 1, 2, 2, 2, 2])
     texels[4:] *= 2
     texels[2, 2, 1] = texels[6, 1, 0] = 2.0
-    assert atlas._squeezed(square, texels, density).tolist() == [2, 6]
+    assert atlas.squeezed(square, texels, density).tolist() == [2, 6]

@@ -7,8 +7,9 @@ import pytest
 from capsules import ball_mesh, sphere
 from charted_ball import charted_ball
 
+from avatar.body import builtin_body
 from avatar.texture import bytes_of, mipmaps, sample_texture
-from bake.atlas import unwrap
+from bake.atlas import squeezed, unwrap
 from bake.skin import transferred_weights
 from bake.texture.seams import seam_steps, solve_seams
 from bake.texture.texels import rasterise_charts, spread
@@ -272,6 +273,15 @@ def test_thin_parts_back_to_back_do_not_swap_sides(gap, within):
     match = match_surface(points, np.tile([0.0, 0, 1], (len(inner), 1)), vertices, faces)
     assert match.agrees.all()
     within((match.face >= len(up)).sum(), 0, "swapped")
+
+
+def test_no_triangle_of_a_body_gets_a_third_of_the_texels_that_others_do_in_a_direction(within):
+    """Large charts of a body squeezed some of their triangles, and patches of cloth were smeared."""
+    body = builtin_body("male")
+    vertices = body.vertices.astype(np.float64)
+    found = unwrap(vertices, body.faces, np.zeros(len(body.faces), int), np.ones(1), size=1024, padding=4)
+    corners = vertices[found.source][found.faces]
+    within(len(squeezed(corners, 1024 * found.uv[found.faces], np.ones(len(corners)))), 0, "triangles")
 
 
 def test_ear_in_front_of_the_head_keeps_its_own_weights(within):
