@@ -86,6 +86,14 @@ def tiny_avatar_file(made_once, tiny_run) -> Path:
 
 
 @pytest.fixture(scope="session")
+def turning(tmp_path_factory):
+    """A sound capture of a still person, cameras going round each part."""
+    from turning_capture import turning_capture
+
+    return turning_capture(tmp_path_factory.mktemp("turning") / "test")
+
+
+@pytest.fixture(scope="session")
 def run():
     """A person of capsules in the place of a trained run."""
     from capsules import make_run

@@ -1,10 +1,13 @@
-"""Masks that are all too large or small: measured, and redrawn by the picture's colours."""
+"""Masks that are all too large or small, silhouettes placed on them, and pictures that lie elsewhere."""
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
+from capture.fit import outline
 from capture.fit.masks import believed_offset, edge_by_colors, regrown, signed_pixels
+from capture.fit.outline import placement
+from capture.fit.pixels import compare_pixels
 
 
 @pytest.mark.parametrize("pixels", [-3.0, -1.4, 1.4, 3.0])
@@ -91,3 +94,66 @@ def test_a_picture_of_one_colour_leaves_the_rim_unsure_and_the_mask_as_it_was_to
     away = signed_pixels(person[None])[0]
     assert found[person].all() and not (found | unsure)[away > 3].any()
     assert unsure.any() and (away[found] < 2.5).all()
+
+
+def silhouette() -> np.ndarray:
+    """On a canvas three times 64 x 48: a bar with a foot to one side, so that every turn and shift shows."""
+    canvas = np.zeros((192, 144), bool)
+    canvas[76:116, 68:76] = True
+    canvas[108:116, 68:92] = True
+    return canvas
+
+
+def test_a_silhouette_in_place_stays_and_is_not_resampled(monkeypatch):
+    """At 0 degrees the template itself is correlated: resampled it would be the same, at the cost of a turn."""
+    turned = []
+    affine = ndimage.affine_transform
+    monkeypatch.setattr(outline.ndimage, "affine_transform", lambda *a, **k: turned.append(a) or affine(*a, **k))
+    template = silhouette()
+    turn, shift = placement(template, template[64:128, 48:96], np.array([72.0, 96.0]), 20.0)
+    assert turn == 0 and shift.tolist() == [0, 0]
+    assert len(turned) == 4
+
+
+PLACES = [((0, 0), -16.0), *((shift, turn) for turn in (0.0, 8.0) for shift in ((0, 0), (40, -20), (-60, 30)))]
+
+
+@pytest.mark.parametrize(("shift", "degrees"), PLACES)
+def test_a_silhouette_is_placed_where_it_was_taken_from(shift, degrees):
+    h = w = 96
+    y, x = np.mgrid[: 3 * h, : 3 * w] + 0.5
+    limb = lambda x, y: (abs(x - 144) < 8) & (abs(y - 150) < 30) | (abs(x - 155) < 15) & (abs(y - 130) < 6)
+    centre = np.array([144.0, 150.0])
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    back_x, back_y = x - centre[0] - shift[0], y - centre[1] - shift[1]
+    moved = limb(c * back_x + s * back_y + centre[0], -s * back_x + c * back_y + centre[1])
+    turn, found = placement(limb(x, y), moved[h : 2 * h, w : 2 * w], centre, 1000.0)
+    assert abs(np.degrees(turn) - degrees) < 1e-9
+    np.testing.assert_allclose(found, shift, atol=2 if degrees else 0)
+
+
+ROWS, COLUMNS = np.mgrid[:40, :50]
+
+
+def blob(x, y):
+    return np.exp(-((COLUMNS + 0.5 - x) ** 2 / 50 + (ROWS + 0.5 - y) ** 2 / 80))
+
+
+def solved(found):
+    A = found.slope * found.weight[:, None]
+    return np.linalg.solve(A.T @ found.slope, A.T @ found.residual)
+
+
+@pytest.mark.parametrize("move", [(0.0, 0.0), (0.3, -0.2), (-0.1, 0.4)])
+def test_a_small_move_is_found(move):
+    found = compare_pixels(blob(25, 20), blob(25 + move[0], 20 + move[1]), (ROWS.ravel(), COLUMNS.ravel()), 10.0)
+    np.testing.assert_allclose(solved(found), move, atol=0.02)
+    assert (found.cost == 0) == (move == (0.0, 0.0))
+
+
+def test_what_differs_for_another_reason_counts_little():
+    seen = blob(25.3, 20)
+    seen[:6, :6] += 5.0
+    found = compare_pixels(blob(25, 20), seen, (ROWS.ravel(), COLUMNS.ravel()), 0.2)
+    assert found.weight.reshape(ROWS.shape)[:6, :6].max() < 1e-5
+    np.testing.assert_allclose(solved(found), (0.3, 0.0), atol=0.02)

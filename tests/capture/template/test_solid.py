@@ -1,13 +1,18 @@
-"""What is made solid deep inside a template: its inside, and never the air in front of it."""
+"""What is made solid inside a template, never the air in front of it, and what follows the head bone alone (Eq. 4)."""
 
 import numpy as np
+import pytest
+import torch
 import trimesh
 from painted_ball import rigid_subject
 
 from avatar.skeleton import PARTS
-from capture.folder import CaptureSubject
+from avatar.skinning import dense_weights
+from capture.folder import CaptureSubject, read_capture
+from capture.template.parts import HEAD, part_boxes, with_rigid_head
 from capture.template.solid import outer_air, solid_inside
 from geometry.mesh import TriangleMesh, concatenated
+from train.fused import part_weight
 
 
 def lined_shoe() -> CaptureSubject:
@@ -41,3 +46,19 @@ def test_outer_air_is_outside_and_not_near_the_surface_and_a_hole_three_centimet
         assert not air(0.05 * rays).any() and not air(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.07]])).any()
         if faces is ball.faces:
             assert not air(0.1 * rays).any()
+
+
+@pytest.fixture(scope="module")
+def subject(tiny_capture):
+    return read_capture(tiny_capture).subject
+
+
+def test_the_head_is_rigid_where_only_it_has_a_weight_and_nothing_changes_below_the_overlap(subject):
+    share = part_weight(torch.as_tensor(subject.vertices), part_boxes(subject)[1]).numpy()
+    before, after = dense_weights(subject.skin), dense_weights(with_rigid_head(subject).skin)
+    alone, below = share == 1, share <= 0.5
+    assert alone.sum() > 100 and below.sum() > 100
+    assert np.abs(after[alone, HEAD] - 1).max() < 1e-6
+    np.testing.assert_allclose(after[below], before[below], atol=1e-6)
+    np.testing.assert_allclose(after.sum(1), 1, atol=1e-6)
+    assert (before[alone, HEAD] < 0.99).any()  # the body model's own weights bend it
