@@ -43,16 +43,6 @@ def test_visibility_rises_with_the_count(ball):
     np.testing.assert_allclose(seen[:5], [0, 0, 0.5, 1, 1])
 
 
-def test_unseen_vertices_copy_their_neighbours_and_stay_unseen(ball):
-    count, mean, covariance, normals, faces = seen_ball(ball)
-    hidden = ball.vertices[:, 1] > 0.05
-    count, mean = np.where(hidden, 0.0, count), np.where(hidden[:, None], 0.0, mean)
-    cone = view_cone(count, mean, covariance, normals, faces)
-    assert (cone.seen[hidden] == 0).all() and (cone.seen[~hidden] == 1).all()
-    np.testing.assert_allclose(np.linalg.norm(cone.direction, axis=1), 1, atol=1e-12)
-    assert (cone.direction[hidden] * -normals[hidden]).sum(1).min() > 0
-
-
 def test_surface_never_seen_looks_against_its_normals(ball):
     count, mean, covariance, normals, faces = seen_ball(ball)
     cone = view_cone(0 * count, 0 * mean, 0 * covariance, normals, faces)
