@@ -1,9 +1,9 @@
 """Films in parts: stopped and gone on with, shared out, drawn by workers; always the film made in one go."""
 
 import hashlib
-import json
 import re
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -291,11 +291,5 @@ def test_what_a_worker_draws_is_what_is_asked_for(arguments, films, tmp_path, mo
     assert decoded(tmp_path / "part") == decoded(films / "frames")[15:18]
     wrong = dict.fromkeys(parts.identity["files"], "0" * 64)
     with pytest.raises(AssetError, match=r"tiny\.glb: differs on this worker"):
-        draw_part(json_copy(shot), (20, 23), "", wrong)
-
-
-def json_copy(shot):
-    """The same order from another film: nothing that is open serves it."""
-    from dataclasses import replace
-
-    return replace(shot, rate=json.loads("31.0"))
+        # of another film: nothing that is open serves it
+        draw_part(replace(shot, rate=31.0), (20, 23), "", wrong)

@@ -1,4 +1,4 @@
-"""Cameras, places and levels of a film, through the command."""
+"""Cameras, places and levels of a film, through the command; films and the window open a scene alike."""
 
 import json
 
@@ -14,7 +14,9 @@ from player.film.parts import Parts
 from player.film.render import level_of
 from player.film.shot import Shot
 from player.film.stage import Stage, camera_from_option
+from player.scene.opened import opened_avatars
 from player.scene.scene import Scene, SceneAvatar, SceneCamera
+from player.window.show import opened_show
 
 
 def test_cameras_of_a_capture_are_taken_frame_by_frame_and_the_last_one_stays(tiny_path, tmp_path):
@@ -142,3 +144,23 @@ def test_what_was_assumed_about_several_motions_says_of_which_avatar(tiny_path, 
     assert any(note.startswith("avatar 2 (counting), up: y") for note in both.notes)
     assert Stage(Scene((two, two))).notes == Stage(Scene((two,))).notes
     assert not any(note.startswith("avatar 1") for note in alone.notes)
+
+
+def test_films_and_the_window_open_a_scene_alike(tmp_path):
+    write_camera(tmp_path / "camera.json", orbit_camera((0, 1, 0), 3.0, 0.2, 0.0, (50, 70)))
+    scene = Scene(
+        (SceneAvatar("mannequin", "walking", at=(0.5, 0.0, -1.0), turn_deg=30.0, start=0.5), SceneAvatar("mannequin")),
+        cameras=(SceneCamera("file", str(tmp_path / "camera.json")),),
+        rate=25.0,
+    )
+    stage, show = Stage(scene), opened_show(scene, opened_avatars(scene))
+    assert stage.avatars[0] is stage.avatars[1], "read once"
+    assert [track.name for track in stage.tracks] == [track.name for track in show.playback.tracks]
+    assert stage.notes == show.notes != []
+    assert stage.frames == show.playback.timeline.frames
+    show.playback.timeline.scrub(1.2)
+    for filmed, shown in zip(stage.poses(30), show.playback.poses(), strict=True):
+        assert np.array_equal(filmed[0], shown[0]) and np.array_equal(filmed[1], shown[1])
+    size = stage.size()
+    filmed = stage.camera_at(None, 0, stage.frames, size)(30, np.zeros(3))
+    assert np.allclose(filmed.camera_from_world, show.cameras.camera(size, 1.2, 30).camera_from_world)

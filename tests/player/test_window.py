@@ -24,6 +24,7 @@ from player.scene.renderer import Renderer
 from player.window.panels import hud_panel
 from player.window.script import GESTURES, steps
 from player.window.window import Window
+from tests.window_script import run
 
 
 def screenshot(avatar_path, path, script, *more, size="160x200"):
@@ -278,3 +279,36 @@ def test_docs_name_every_word_of_scripts():
     words = (Path(__file__).parents[2] / "docs" / "play.md").read_text("utf-8").split("## Scripts")[1]
     for word in (*GESTURES, "wait", "pose", "press", "type", "down", "up"):
         assert re.search(rf"`(?:[^`]*, )?{word}[:`]", words), word
+
+
+def test_a_replaced_file_is_shown_where_the_old_one_stood_and_a_broken_one_is_named(
+    open_window, avatar, tmp_path, capsys
+):
+    file = tmp_path / "me.glb"
+    write_avatar(file, avatar)
+    window = open_window(str(file), "--follow", "--no-gui", script="space home wait")
+    parts = window.parts
+
+    def shown(words="wait"):
+        left, top, width, height = parts.state.layout.area
+        return run(window, words)[top + height // 2 : top + height - 60, left : left + width]  # no text
+
+    before = shown("right right wait")
+    camera, frame = parts.state.last.camera, parts.state.timeline.frame
+    parts.state.playback.tracks[1].at = np.array([0.3, 0, -0.4])
+    moved = shown()
+    assert (moved != before).any()
+
+    levels = tuple(replace(level, base_color=255 - level.base_color) for level in avatar.levels)
+    write_avatar(file, replace(avatar, levels=levels))
+    other = shown()
+    assert "a new one is shown" in capsys.readouterr().out
+    assert (other != moved).any(-1).mean() > 0.005
+    assert (parts.state.playback.tracks[1].at == [0.3, 0, -0.4]).all() and parts.state.timeline.frame == frame
+    assert np.array_equal(parts.state.last.camera.camera_from_world, camera.camera_from_world)
+    assert np.array_equal(shown(), other)
+
+    file.write_bytes(b"nothing")
+    assert np.array_equal(shown(), other) and "me.glb" in capsys.readouterr().out
+    file.unlink()
+    assert np.array_equal(shown(), other)

@@ -1,5 +1,7 @@
 """Which rung a window shows under a load that comes and goes: simulated frames, no clock."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,10 +46,6 @@ def test_quality_walks_the_frontier():
     order = [one.rung.name for one in frontier(LADDER)]
     places = [order.index(name) for name in names]
     assert places == sorted(places) and set(places) == {0, 1, 2, 3, 4}
-
-
-def test_a_window_on_a_quiet_machine_never_changes():
-    assert played(BudgetController(LADDER, 8.0, named("vertex")), [1.0] * 3000) == []
 
 
 def test_it_goes_down_after_twelve_slow_frames_and_not_after_eleven():
@@ -97,11 +95,7 @@ def test_it_leaves_room_before_it_goes_up():
     assert played(BudgetController(LADDER, 10.0, named("vertex")), quiet) == []
     changes = played(BudgetController(LADDER, 10.6, named("vertex")), quiet)
     assert [name for _, name in changes] == ["linear"] and changes[0][0] >= WATCHED
-
-
-def test_what_the_next_rung_costs_is_known():
-    controller = BudgetController(LADDER, 8.0, named("vertex"))
-    assert controller.costlier.rung.name == "linear"
+    assert BudgetController(LADDER, 10.0, named("vertex")).costlier.rung.name == "linear"
     assert BudgetController(LADDER, 80.0, named("network")).costlier is None
 
 
@@ -123,7 +117,5 @@ def test_rungs_of_a_scene_are_what_all_its_avatars_hold(avatar):
     assert names[4:] == [f"{view}, 27k, {one}" for view in ("network per pixel", "paper mode") for one in cheaper]
     assert {rung.view for rung in scene_rungs([avatar], view="linear")} == {"linear"}
     assert {rung.level for rung in scene_rungs([avatar], view="off", level=0)} == {0}
-    import dataclasses
-
-    plain = dataclasses.replace(avatar, network=None, linear=None, default_view="off")
+    plain = replace(avatar, network=None, linear=None, default_view="off")
     assert {rung.view for rung in scene_rungs([avatar, plain])} == {"off"}
