@@ -25,15 +25,12 @@ def test_the_builtin_body_is_a_person_of_plausible_size_in_a_t_pose(sex):
     np.testing.assert_allclose(body.skin.weights.sum(1), 1, atol=1e-6)
 
 
-def test_fingers_hang_from_their_own_wrist_in_smplh_order():
+def test_fingers_hang_from_their_own_wrist_and_shapes_move_joints_and_vertices_linearly():
     for joint in range(22, 52):
         side = "left" if joint < 37 else "right"
         assert JOINTS[joint].startswith(side)
         assert JOINTS[PARENTS[joint]].startswith(side)
     assert JOINTS[22:37:3] == ("left_index1", "left_middle1", "left_pinky1", "left_ring1", "left_thumb1")
-
-
-def test_shape_moves_vertices_and_joints_linearly_and_keeps_the_pelvis():
     body = builtin_body("male")
     once, twice = shaped(body, np.array([0.5])), shaped(body, np.array([1.0]))
     np.testing.assert_allclose(twice.vertices - body.vertices, 2 * (once.vertices - body.vertices), atol=1e-12)
@@ -62,7 +59,7 @@ def test_joints_that_no_regressor_follows_move_with_no_shape(tmp_path):
     assert body.shape_directions.any() and not body.joint_directions.any()
 
 
-def test_outermost_points_are_those_of_one_product_however_many_there_are():
+def test_hull_points_are_the_farthest_ones_found_in_little_memory_and_their_heights_those_of_posed_points():
     points = np.random.default_rng(0).normal(size=(2 * CHUNK + 100, 3))
     chosen = outermost(points, 64)
     directions = np.random.default_rng(1).normal(size=(200, 3))
@@ -71,15 +68,9 @@ def test_outermost_points_are_those_of_one_product_however_many_there_are():
     missed = (points @ directions.T).max(0) - (points[chosen] @ directions.T).max(0)
     assert missed.min() >= 0 and missed.max() < 0.8
     assert set(np.argmax(points @ fibonacci_sphere(64).T, axis=0)) == set(chosen)
-
-
-def test_the_points_of_a_long_film_take_little_memory():
     points = np.random.default_rng(0).normal(size=(500_000, 3))
     with at_most(150e6):
         outermost(points)
-
-
-def test_heights_alone_are_those_of_the_posed_points():
     hull = body_hull(builtin_body("male"))
     rng = np.random.default_rng(0)
     pose, root = rng.normal(size=(40, 52, 3)), rng.normal(size=(40, 3))

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
+from pictures import film, greys, radiance_bytes, sky
 from PIL import Image
-from radiance_writer import radiance_bytes, sky
-from tiny_film import film, greys
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, pixel_rays
 from command.errors import AssetError
@@ -16,11 +15,14 @@ from player.scene.effects import Effects
 SIZE = (120, 90)
 
 
-def test_where_a_picture_lies():
+def test_where_a_picture_lies_and_contain_leaves_bars_of_the_colour():
     assert placed((200, 100), (100, 100), "cover") == (-50, 0, 200, 100)
     assert placed((200, 100), (100, 100), "contain") == (0, 25, 100, 50)
     assert placed((200, 100), (100, 100), "stretch") == (0, 0, 100, 100)
     assert placed((1, 5000), (100, 100), "contain") == (49, 0, 1, 100)
+    white = np.full((10, 20, 4), 255, np.uint8)
+    out = fitted(white, (20, 20), "contain", (0.0, 1.0, 0.0, 1.0))
+    assert (out[5:15] == 255).all() and (out[[4, 15]] == (0, 255, 0, 255)).all()
 
 
 def test_a_picture_of_the_same_size_is_copied_and_alpha_lies_over_the_colour():
@@ -33,12 +35,6 @@ def test_a_picture_of_the_same_size_is_copied_and_alpha_lies_over_the_colour():
     assert np.abs(out[..., :3] - expected).max() <= 0.51 and (out[..., 3] == 255).all()
     nothing = fitted(picture, (40, 30), "cover", (0.0, 0.0, 0.0, 0.0))
     assert (nothing[..., 3] == 128).all() and (nothing[..., :3] <= 128).all(), "premultiplied"
-
-
-def test_contain_leaves_bars_of_the_colour():
-    white = np.full((10, 20, 4), 255, np.uint8)
-    out = fitted(white, (20, 20), "contain", (0.0, 1.0, 0.0, 1.0))
-    assert (out[5:15] == 255).all() and (out[[4, 15]] == (0, 255, 0, 255)).all()
 
 
 def test_a_camera_held_upright_is_seen_upright(tmp_path):
@@ -62,10 +58,25 @@ def test_a_film_shows_the_frame_of_the_time_forwards_backwards_and_beyond(tmp_pa
     source.close()
 
 
-def test_a_panorama_of_another_shape_is_refused(tmp_path):
+def test_a_panorama_is_twice_as_wide_as_high_lies_about_nothing_and_is_halved_if_wide(tmp_path, monkeypatch):
     (tmp_path / "square.hdr").write_bytes(radiance_bytes(sky(32)[:, :16]))
     with pytest.raises(AssetError, match=r"square\.hdr: a panorama should be twice as wide as high, is 16x16"):
         read_panorama(tmp_path / "square.hdr")
+    data = radiance_bytes(sky(32))
+    path = tmp_path / "sky.hdr"
+    for wrong, complaint in (
+        (b"-Y 99999 +X 99999", "expected 1 to"), (b"+X 32 -Y 16", "size should read"), (b"-Y 0 +X 32", "expected 1 to"),
+        (b"-Y 16 +X 33", "should begin with 2, 2 and its width"), (b"-Y 17 +X 32", "ends before"),
+    ):  # fmt: skip
+        with pytest.raises(AssetError, match=complaint):
+            read_radiance(_written(path, data.replace(b"-Y 16 +X 32", wrong)))
+    with pytest.raises(AssetError, match="FORMAT should be"):
+        read_radiance(_written(path, data.replace(b"rle_rgbe", b"rle_xyze")))
+    import player.effects.background_source
+
+    monkeypatch.setattr(player.effects.background_source, "PANORAMA_WIDTH", 32)
+    (tmp_path / "sky.hdr").write_bytes(radiance_bytes(np.full((50, 100, 3), 0.5)))
+    assert read_panorama(tmp_path / "sky.hdr").shape == (12, 24, 3)
 
 
 # -- Radiance
@@ -82,30 +93,9 @@ def test_radiance_comes_back_within_its_mantissa(tmp_path, flat):
     assert (np.abs(found - light) <= light.max(-1, keepdims=True) / 255).all()
 
 
-def test_radiance_that_lies_is_refused_by_name(tmp_path):
-    data = radiance_bytes(sky(32))
-    path = tmp_path / "sky.hdr"
-    for wrong, complaint in (
-        (b"-Y 99999 +X 99999", "expected 1 to"), (b"+X 32 -Y 16", "size should read"), (b"-Y 0 +X 32", "expected 1 to"),
-        (b"-Y 16 +X 33", "should begin with 2, 2 and its width"), (b"-Y 17 +X 32", "ends before"),
-    ):  # fmt: skip
-        with pytest.raises(AssetError, match=complaint):
-            read_radiance(_written(path, data.replace(b"-Y 16 +X 32", wrong)))
-    with pytest.raises(AssetError, match="FORMAT should be"):
-        read_radiance(_written(path, data.replace(b"rle_rgbe", b"rle_xyze")))
-
-
 def _written(path, data):
     path.write_bytes(data)
     return path
-
-
-def test_a_wide_panorama_is_halved(tmp_path, monkeypatch):
-    import player.effects.background_source
-
-    monkeypatch.setattr(player.effects.background_source, "PANORAMA_WIDTH", 32)
-    (tmp_path / "sky.hdr").write_bytes(radiance_bytes(np.full((50, 100, 3), 0.5)))
-    assert read_panorama(tmp_path / "sky.hdr").shape == (12, 24, 3)
 
 
 # -- the panorama as the camera sees it

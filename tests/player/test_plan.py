@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from radiance_writer import radiance_bytes, sky
+from pictures import radiance_bytes, sky
 
 from avatar.camera import orbit_camera
 from command.errors import AssetError
@@ -31,14 +31,6 @@ def plan_is_what_lives(context, renderer, **others):
     bytes_of_others = 8 * renderer.size[0] * renderer.size[1] if others else 0
     planned = renderer.plan.bytes
     assert context.counts.live_bytes - bytes_of_others == planned
-
-
-def test_msaa_on_a_device_without_it_is_the_plan_without_it(avatar):
-    canvas = plans.Canvas(SIZE, max_samples=1)
-    asked = resolve([avatar], canvas, Effects("off", antialiasing="msaa"))
-    plain = resolve([avatar], canvas, Effects("off", antialiasing="none"))
-    assert set(asked.handles) == set(plain.handles)
-    assert plans.Absent("antialiasing", "the device has 1 samples a pixel, 4 are needed") in asked.passes
 
 
 def test_a_panorama_is_evaluated_only_when_the_camera_turns(context, render, avatar, pose, backgrounds):
@@ -76,7 +68,9 @@ def test_a_background_that_cannot_be_read_changes_nothing(context, render, avata
     assert np.array_equal(renderer.draw([pose], CAMERA), before)
 
 
-def test_a_film_stays_open_while_it_is_asked_for_and_is_closed_after(render, avatar, pose, backgrounds, monkeypatch):
+def test_a_film_stays_open_while_asked_for_and_is_uploaded_when_its_frame_changes(
+    render, avatar, pose, backgrounds, monkeypatch, context
+):
     renderer = render(avatar, SIZE, effects=PLAIN, background=backgrounds["video"])
     (behind,) = renderer.plan.kept.values()
     renderer.change(effects=EVERYTHING, size=(50, 40))
@@ -85,9 +79,6 @@ def test_a_film_stays_open_while_it_is_asked_for_and_is_closed_after(render, ava
     monkeypatch.setattr(behind.source, "close", lambda: closed.append(1))
     renderer.change(background=backgrounds["color"])
     assert closed == [1] and behind not in renderer.plan.kept.values()
-
-
-def test_a_film_behind_is_uploaded_only_when_its_frame_changes(context, render, avatar, pose, backgrounds):
     renderer = render(avatar, SIZE, effects=Effects("off", antialiasing="none"), background=backgrounds["video"])
     sent = []
     for seconds in (0.0, 0.02, 0.034, 0.05, 9.0, 0.0):
@@ -159,7 +150,7 @@ def test_a_window_of_changing_size_shows_the_same_picture(context, render, avata
         own.release()
 
 
-def test_edges_are_smooth_unless_it_is_said_otherwise(avatar):
+def test_edges_are_smooth_unless_said_otherwise_or_without_samples(avatar):
     """auto: MSAA on a GPU; FXAA on a software rasteriser, and where samples are too few."""
 
     def runs(effects, *, software, samples=4):
@@ -170,6 +161,11 @@ def test_edges_are_smooth_unless_it_is_said_otherwise(avatar):
     assert runs(Effects(), software=False) == {"antialiasing: msaa"}
     assert runs(Effects(), software=False, samples=1) == {"antialiasing: fxaa"}
     assert runs(PLAIN, software=False) == runs(Effects(antialiasing="none"), software=True) == set()
+    canvas = plans.Canvas(SIZE, max_samples=1)
+    asked = resolve([avatar], canvas, Effects("off", antialiasing="msaa"))
+    plain = resolve([avatar], canvas, Effects("off", antialiasing="none"))
+    assert set(asked.handles) == set(plain.handles)
+    assert plans.Absent("antialiasing", "the device has 1 samples a pixel, 4 are needed") in asked.passes
 
 
 EVERY = {setting.name: setting.table for setting in settings_of(Effects) if setting.table is not None}

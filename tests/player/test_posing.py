@@ -48,17 +48,14 @@ def test_the_chain_equals_the_plain_kinematics_seen_from_a_camera(angle, within)
     within(found - outer @ joint_transforms(pose, joints, root), 1e-13)
 
 
-def test_posed_bones_and_their_quaternions_are_those_of_the_plain_product(avatar):
+def test_posed_bones_are_the_plain_product_and_the_reach_of_a_sphere_its_silhouette(avatar):
     camera, pose, root = orbit_camera((0, 0, 0), 3.0, 0.4, 0.2, (64, 64)), turned(0.4, 2), np.ones(3)
     bones = Poser(avatar, avatar.levels[0]).posed(pose, root, camera)
     joint_from_canonical = np.linalg.inv(joint_transforms(avatar.canonical_pose, avatar.joint_positions))
     plain = view_from_world(camera) @ joint_transforms(pose, avatar.joint_positions, root) @ joint_from_canonical
     np.testing.assert_allclose(bones.view_from_canonical, plain, rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.abs(quaternions(bones)), np.abs(quaternion_from_matrix(plain[:, :3, :3])), atol=1e-12)
-
-
-def test_the_reach_of_a_sphere_is_its_silhouette_or_a_little_more(avatar):
-    """One bone left: the box holds the sphere's outline and is at most a tenth wider."""
+    # One bone left: the box holds the sphere's outline and is at most a tenth wider.
     camera = orbit_camera((0, 0, 0), 3.0, 0.0, 0.0, (400, 300))
     bones = Poser(avatar, avatar.levels[0]).posed(np.zeros((52, 3)), np.array([0.4, -0.2, 0.1]), camera)
     one = bones._replace(radii=np.where(np.arange(52) == 15, 0.15, -1.0))

@@ -118,16 +118,13 @@ def test_outlines_of_somebody_with_hair_and_shoes_do_not_draw_the_person_nearer(
     assert abs((found.root - truth.root)[:, 2].mean()) < 0.03
 
 
-def test_bilaplacian_is_nothing_for_what_is_constant():
+def test_the_bilaplacian_of_constants_is_nothing_and_points_of_the_face_lie_right():
     free = person_of("male").body
     Q = bilaplacian(free.vertices, free.faces)
     assert abs(np.ones(len(free.vertices)) @ Q @ np.ones(len(free.vertices))) < 1e-6
     rng = np.random.default_rng(0)
     rough, smooth = rng.standard_normal(len(free.vertices)), free.vertices[:, 1]
     assert rough @ Q @ rough > 1e3 * (smooth @ Q @ smooth) > 0
-
-
-def test_points_of_the_face_lie_where_they_belong():
     points, free = body_points(), person_of("female").body
     place = lambda name: points[name].place(free.vertices, free.joints)
     assert place("face_45")[0] > place("face_42")[0] > 0 > place("face_39")[0] > place("face_36")[0]
@@ -137,22 +134,16 @@ def test_points_of_the_face_lie_where_they_belong():
     assert place("left_heel")[2] < place("left_ankle")[2] < place("left_big_toe")[2]
 
 
-def test_keypoints_beside_the_person_are_refused():
+def test_keypoints_beside_the_person_pictures_upside_down_and_fits_of_nothing_are_refused(twin):
     _, footage = turning_twin(4, 200, masks=True)
     check_footage("body", footage)
     with pytest.raises(AssetError, match="body video: keypoints should lie on the person of the masks"):
         check_footage("body", replace(footage, masks=np.roll(footage.masks, 80, axis=2)))
-
-
-def test_pictures_upside_down_are_refused(twin):
     check_upright(twin.footage)
     height = twin.footage.size[1]
     turned = replace(twin.footage, pixels=height - twin.footage.pixels)
     with pytest.raises(AssetError, match="upside down"):
         check_upright(turned)
-
-
-def test_a_fit_that_explains_nothing_is_refused_and_a_bad_frame_left_out(twin):
     pixels = twin.footage.pixels.copy()
     pixels[3] += 25
     usable = check_fit("body", twin.truth, replace(twin.footage, pixels=pixels))
@@ -167,23 +158,17 @@ def seen_by(truth: float, own: float, doubt: float) -> tuple[float, float]:
     return truth / own**2 / precision, precision**-0.5
 
 
-def test_the_guess_counts_once_however_many_videos_hold_it():
+def test_the_guess_counts_once_sure_videos_more_and_those_that_contradict_each_other_less():
     doubt = 0.05
     found = np.array([seen_by(0.04, 0.05, doubt)] * 4)
     mean, sigma = weighed(found, doubt)
     precision = 4 / 0.05**2 + 1 / doubt**2
     assert mean == pytest.approx(0.04 * 4 / 0.05**2 / precision)
     assert sigma == pytest.approx(precision**-0.5)
-
-
-def test_a_sure_video_counts_more_and_one_that_says_nothing_not_at_all():
     sure, vague, blind = seen_by(0.02, 0.01, 0.1), seen_by(-0.06, 0.04, 0.1), (0.0, 0.1)
     mean, sigma = weighed(np.array([sure, vague, blind]), 0.1)
     assert mean == pytest.approx((0.02 / 0.01**2 - 0.06 / 0.04**2) / (1 / 0.01**2 + 1 / 0.04**2 + 1 / 0.1**2))
     assert sigma >= (1 / 0.01**2 + 1 / 0.04**2 + 1 / 0.1**2) ** -0.5
-
-
-def test_videos_that_contradict_each_other_are_believed_less():
     agreeing = np.array([seen_by(0.01, 0.01, 0.1)] * 3)
     apart = np.array([seen_by(value, 0.01, 0.1) for value in (-0.05, 0.01, 0.07)])
     assert weighed(apart, 0.1)[1] > 3 * weighed(agreeing, 0.1)[1]

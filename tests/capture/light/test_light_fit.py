@@ -47,15 +47,12 @@ def test_even_light_is_no_light(ambient):
     assert found.residual == found.residual_without
 
 
-def test_a_sheen_that_follows_the_eye_is_no_lamp():
+def test_a_sheen_that_follows_the_eye_is_no_lamp_and_a_soft_light_is_a_light():
     assert fit_light(seen(CaptureLight(1.0), sheen=0.5)).lights == {}
     light = fit_light(seen(CaptureLight(0.45, SIDE), sheen=0.5)).lights["body"]
     assert len(light.lamps) == 1
     assert degrees_between(light.lamps[0], SIDE[0]) < 1.5
     assert light.ambient / light.lamps[0].strength == pytest.approx(0.45 / 0.55, abs=0.04)
-
-
-def test_a_soft_light_is_a_light():
     found = fit_light(seen(CaptureLight(0.75, lamps_of(np.array([SIDE[0].direction]), np.array([0.25])))))
     light = found.lights["body"]
     assert degrees_between(light.lamps[0], SIDE[0]) < 1.5
@@ -112,24 +109,11 @@ def filmed_in(capture: Capture, light: CaptureLight) -> Capture:
     return capture
 
 
-def test_a_still_person_tells_no_light(turning):
+def test_a_still_person_tells_no_light_and_canonical_rays_of_the_head_reach_the_same(turning):
     """Nobody turns: each triangle has one shading, and skin and light cannot be told apart."""
     capture = filmed_in(turning, LIGHT)
     assert light_frame(capture) == "world"
     assert fit_capture_light(capture).lights == {}
-
-
-def test_a_phone_on_a_tripod_takes_the_light_along(tmp_path):
-    capture = read_capture(write_capture(tmp_path / "capture", size=32, frames=4))
-    assert light_frame(capture) == "camera"
-    for part in PARTS:
-        turns = light_from_video(capture, part, "camera")
-        expected = np.stack([camera.camera_from_world[:3, :3] for camera in capture.videos[part].cameras])
-        np.testing.assert_allclose(turns, expected, atol=1e-12)
-        np.testing.assert_array_equal(light_from_video(capture, "body", "world"), np.tile(np.eye(3), (4, 1, 1)))
-
-
-def test_canonical_rays_of_the_head_reach_the_same_light(turning):
     turn = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     canonical_from_head = np.eye(4)
@@ -140,3 +124,13 @@ def test_canonical_rays_of_the_head_reach_the_same_light(turning):
     for a, b in zip(own, canonical, strict=True):
         np.testing.assert_allclose(b @ (turn @ direction), a @ direction, atol=1e-12)
     assert pytest.approx(1) == np.linalg.det(canonical[0])
+
+
+def test_a_phone_on_a_tripod_takes_the_light_along(tmp_path):
+    capture = read_capture(write_capture(tmp_path / "capture", size=32, frames=4))
+    assert light_frame(capture) == "camera"
+    for part in PARTS:
+        turns = light_from_video(capture, part, "camera")
+        expected = np.stack([camera.camera_from_world[:3, :3] for camera in capture.videos[part].cameras])
+        np.testing.assert_allclose(turns, expected, atol=1e-12)
+        np.testing.assert_array_equal(light_from_video(capture, "body", "world"), np.tile(np.eye(3), (4, 1, 1)))

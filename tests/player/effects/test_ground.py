@@ -197,7 +197,7 @@ RED = (1.0, 0.0, 0.0, 1.0)
 ABOVE = np.array([0.0, 50.0, 0.0])
 
 
-def test_lines_are_where_whole_metres_are(render, avatar, pose):
+def test_lines_lie_at_whole_metres_and_axes_point_along_the_world(render, avatar, pose):
     grid = Grid(color=RED, axes=0.0)
     image = render(avatar, SIZE, effects=replace(OFF, grid=grid)).draw([(pose[0], ABOVE)], TOP)
     alpha = image[..., 3].astype(float)
@@ -208,9 +208,6 @@ def test_lines_are_where_whole_metres_are(render, avatar, pose):
         assert alpha[30, column - 1 : column + 1].max() > 100 and alpha[row - 1 : row + 1, 30].max() > 100
     between = alpha[10:150, round(SIZE[0] / 2 + 0.1 * metre)]
     assert np.median(between) < 5
-
-
-def test_axes_point_along_the_world(render, avatar, pose):
     grid = replace(OFF, grid=Grid(color=RED))
     image = render(avatar, SIZE, effects=grid).draw([(pose[0], ABOVE)], CAMERA).astype(int)
     for axis, paint in zip(np.eye(3), ((230, 64, 64), (89, 191, 76), (76, 115, 242)), strict=True):
