@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from scipy.spatial import KDTree
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
 from bake.bake import BakeOptions, _Clock, bake_run, broken_parts, extracted, level_plan, run_surface
+from bake.promises import missed_promises
 from bench.ladder.remeasure import recorded_facts, remeasured
 from command.errors import AssetError
 from geometry.repair import find_faults
@@ -52,10 +54,13 @@ def test_file_holds_what_was_promised(baked, run):
     assert avatar.provenance["preset"] == "analytic"
 
 
-def test_levels_go_down_to_a_thousand_triangles_with_atlases_of_their_own():
+def test_levels_go_down_to_a_thousand_triangles_and_a_good_bake_says_nothing():
     assert level_plan(BakeOptions()) == [(30_000, 2048), (10_000, 1024), (3_000, 512), (1_000, 256)]
     assert level_plan(BakeOptions(faces=3_000, texture=128)) == [(3_000, 128), (1_000, 64)]
     assert level_plan(BakeOptions(faces=1_000, texture=256)) == [(1_000, 256)]
+    assert missed_promises(facts_with(), BakeOptions(), 7_000_000) == []
+    assert missed_promises(facts_with(), BakeOptions(texture=4096), 20_000_000) == []
+    assert len(missed_promises(facts_with(), BakeOptions(texture=512), 20_000_000)) == 1
 
 
 @pytest.fixture(scope="module")
@@ -146,3 +151,37 @@ def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small
     assert "of hand_left is more than 3 cm" in lines[0] and "the template stays for hand_left" in lines[0]
     with pytest.raises(AssetError, match="of hand_left is more than 3 cm"):
         extracted(replace(broken, with_templates=None), origin, small, clock)
+
+
+def facts_with(paper_db=41.0, steps=(1.0, 2.0), view_db=40.0):
+    mips = [{"p99": 9.0, "seen_p99": step} for step in steps]
+    level = {"seam_step": {"mips": mips}, "texel_mm_by_part": {"body": 2.0}}
+    against = {"paper_db": paper_db, "per_view_db": {"t body": view_db, "t head": None}}
+    return {"against_field": against, "levels": [level], "texture_from": "field"}
+
+
+def test_each_promise_missed_is_one_line_with_what_to_do():
+    lines = missed_promises(facts_with(34.71, (3.0, 9.87), 29.3), BakeOptions(), 20_000_000)
+    assert len(lines) == 3
+    assert "34.7 dB against the field, promised are 40" in lines[0]
+    assert "t body, 29.3 dB" in lines[0] and "--faces 60000" in lines[0]
+    assert "level 0" in lines[1] and "mip 1 9.9" in lines[1] and "mip 0" not in lines[1]
+    assert "less than 425 px tall" in lines[1] and "selfscan inspect" in lines[1]
+    assert "20.0 MB, promised are at most 12" in lines[2] and "--texture" in lines[2]
+
+
+def test_textures_from_the_videos_promise_to_be_nearer_to_them_than_the_field_is():
+    """Far from the field is what they are for."""
+    facts = facts_with(34.71) | {"texture_from": "videos", "videos": {"head": {"rms_before": 9.0, "rms_after": 4.0}}}
+    assert missed_promises(facts, BakeOptions(), 7_000_000) == []
+    facts["videos"]["head"]["rms_after"] = 9.5
+    (line,) = missed_promises(facts, BakeOptions(), 7_000_000)
+    assert line.startswith("head: its video differs by 9.5") and "--texture-from field" in line
+
+
+def test_what_was_missed_is_said_last_and_stands_in_the_file(run, small, tmp_path):
+    lines = []
+    avatar = bake_run(run, tmp_path / "a.glb", small, lines.append)
+    missed = avatar.provenance["baked"]["missed"]
+    assert missed and lines[-len(missed) :] == [f"missed: {line}" for line in missed]
+    assert json.dumps(missed[0])[1:-1].encode() in (tmp_path / "a.glb").read_bytes()

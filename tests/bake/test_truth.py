@@ -86,21 +86,28 @@ def test_the_mode_is_chosen_on_one_half_and_reported_on_the_other(context, tmp_p
     assert facts["psnr_db"]["all"]["off"] is None or facts["psnr_db"]["all"]["off"] > 60
 
 
-def test_halves_share_no_picture(context, tmp_path):
+def test_halves_share_no_picture_and_a_capture_without_truth_is_refused_before_the_bake(context, tmp_path):
     write_truth(context, tmp_path / "capture", mannequin(), "off")
     sets = read_true_views(tmp_path / "capture").sets
     choosing, reporting = halves(sets)
     for name, views in sets.items():
         assert not set(pose_numbers(choosing[name])) & set(pose_numbers(reporting[name]))
         assert len(choosing[name]) + len(reporting[name]) == len(views)
+    (tmp_path / "capture.json").write_text('{"format": "selfscan-capture", "version": 1}')
+    with pytest.raises(AssetError, match="truth/ with held-out pictures"):
+        read_true_views(tmp_path)
 
 
-def test_without_truth_the_field_decides(context, tmp_path):
+def test_without_truth_the_field_decides_and_modes_are_those_of_the_file(context, tmp_path):
     avatar = mannequin()
     assert chosen_view(avatar, distilled(avatar), None) == (
         "network",
         {"mode": "network", "by": "field", "reason": "the field said so"},
     )
+    assert modes_of(avatar) == ["off", "vertex", "linear", "network"]
+    from dataclasses import replace
+
+    assert modes_of(replace(avatar, network=None, linear=None, default_view="off")) == ["off"]
 
 
 def test_errors_are_those_of_the_pixels_inside_the_person(context, tmp_path):
@@ -128,17 +135,3 @@ def test_errors_are_those_of_the_pixels_inside_the_person(context, tmp_path):
 )
 def test_the_best_mode_wins_and_a_simpler_one_ties(scores, mode):
     assert better_mode(scores)[0] == mode
-
-
-def test_modes_are_those_of_the_file():
-    avatar = mannequin()
-    assert modes_of(avatar) == ["off", "vertex", "linear", "network"]
-    from dataclasses import replace
-
-    assert modes_of(replace(avatar, network=None, linear=None, default_view="off")) == ["off"]
-
-
-def test_a_capture_without_truth_is_refused_before_the_bake(tmp_path):
-    (tmp_path / "capture.json").write_text('{"format": "selfscan-capture", "version": 1}')
-    with pytest.raises(AssetError, match="truth/ with held-out pictures"):
-        read_true_views(tmp_path)

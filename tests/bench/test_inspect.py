@@ -53,12 +53,9 @@ def cube(image=None, inset=0.0):
     )
 
 
-def test_a_cut_cube_is_closed_and_in_one_piece_once_welded():
+def test_a_cut_cube_is_closed_once_welded_and_holes_fins_and_loose_pieces_are_counted():
     assert len(np.unique(mesh_facts.weld(cube()))) == 8
     assert mesh_facts.closedness(cube()) == (0, 0, 1)
-
-
-def test_holes_fins_and_loose_pieces_are_counted():
     level = cube()
     open_cube = dataclasses.replace(level, faces=level.faces[:-2])
     assert mesh_facts.closedness(open_cube) == (4, 0, 1)
@@ -72,23 +69,27 @@ def test_holes_fins_and_loose_pieces_are_counted():
     assert mesh_facts.closedness(both) == (0, 0, 2)
 
 
-def test_vertices_that_meet_but_move_apart_are_not_welded():
+def test_vertices_that_move_apart_are_not_welded_and_parts_follow_the_heaviest_joint():
     level = cube()
     joints = level.joints.copy()
     joints[:4, 0] = 7
     apart = dataclasses.replace(level, joints=joints)
     assert len(np.unique(mesh_facts.weld(apart))) == 12 and mesh_facts.closedness(apart).open_edges == 8
+    joints = np.zeros((24, 4), np.uint8)
+    joints[:, 0], joints[:, 1] = JOINTS.index("head"), JOINTS.index("left_index2")
+    weights = np.zeros((24, 4), np.uint8)
+    weights[:12, :2], weights[12:, :2] = [155, 100], [100, 155]
+    level = dataclasses.replace(level, joints=joints, weights=weights)
+    np.testing.assert_array_equal(part_of(level.skin), [1] * 12 + [2] * 12)
+    assert mesh_facts.share_of_area(level, part_of(level.skin) == 1) == pytest.approx(0.5)
 
 
-def test_texels_and_edges_are_measured_in_millimetres():
+def test_texels_and_edges_are_measured_in_millimetres_and_medians_count_square_metres():
     level = cube()  # 20 by 20 texels on a side of 100 mm
     np.testing.assert_allclose(mesh_facts.texel_millimetres(level), 5.0, rtol=1e-5)
     np.testing.assert_allclose(mesh_facts.edge_millimetres(level), 100 * (2 + np.sqrt(2)) / 3, rtol=1e-5)
     flat = dataclasses.replace(level, uv=np.zeros_like(level.uv))
     assert np.isnan(mesh_facts.texel_millimetres(flat)).all()
-
-
-def test_the_median_by_area_counts_square_metres_not_triangles():
     values, weight = np.array([1.0, 2.0, 3.0, np.nan]), np.array([1.0, 1.0, 5.0, 90.0])
     assert mesh_facts.median_by_area(values, weight) == 3.0
     assert mesh_facts.median_by_area(values, np.array([0.0, 0.0, 0.0, 1.0])) is None
@@ -121,23 +122,19 @@ def test_cone_half_angles_are_those_of_the_clamp():
     np.testing.assert_allclose(np.sort(mesh_facts.cone_degrees(half), axis=1)[0], expected, atol=1e-4)
 
 
-def test_parts_follow_the_heaviest_joint():
-    level = cube()
-    joints = np.zeros((24, 4), np.uint8)
-    joints[:, 0], joints[:, 1] = JOINTS.index("head"), JOINTS.index("left_index2")
-    weights = np.zeros((24, 4), np.uint8)
-    weights[:12, :2], weights[12:, :2] = [155, 100], [100, 155]
-    level = dataclasses.replace(level, joints=joints, weights=weights)
-    np.testing.assert_array_equal(part_of(level.skin), [1] * 12 + [2] * 12)
-    assert mesh_facts.share_of_area(level, part_of(level.skin) == 1) == pytest.approx(0.5)
-
-
-def test_a_ramp_meets_its_ends_and_marks_what_is_not_known():
+def test_a_ramp_meets_its_ends_and_a_page_escapes_what_is_not_its_own():
     colors = Ramp(0.0, 10.0).colors(np.array([-1.0, 0.0, 5.0, 10.0, 99.0, np.nan]))
     first, *_, last = SEQUENTIAL
     np.testing.assert_array_equal(colors[[0, 1, 3, 4, 5]], rgb([first, first, last, last, ABSENT]))
     between = rgb(SEQUENTIAL[2:4]).mean(0)
     assert np.abs(colors[2] - between).max() <= 0.5
+    one = PagePicture("one", b"\x89PNG", "png", 'says "hi"')
+    text = page("<b>Eve</b>", ["from a & b"], [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)],
+                [PageSection("look", [one], None, [("x",), ("<i>",)], "a < b")])  # fmt: skip
+    assert "&lt;b&gt;Eve&lt;/b&gt;" in text and "<b>Eve" not in text and "a &lt; b" in text and "&lt;i&gt;" in text
+    assert 'src="data:image/png;base64,iVBORw==' in text and "says &quot;hi&quot;" in text
+    assert re.findall(r'(?:src|href)="(?!data:|#)', text) == [] and "<script" not in text and "url(" not in text
+    assert ">good<" in text and ">look<" in text
 
 
 def test_distance_to_a_field_is_the_farthest_of_corners_and_centre():
@@ -181,16 +178,6 @@ def test_distance_to_the_truth_is_measured_in_t_pose(tmp_path):
     found = from_truth(avatar, avatar.levels[0], tmp_path / "above")
     low = avatar.levels[0].positions[:, 1] < 0.01  # the bottom lies 5 mm under the moved cube, the top inside its sides
     np.testing.assert_allclose(found[low], 5.0, atol=1e-3)
-
-
-def test_a_page_holds_everything_and_escapes_what_is_not_its_own():
-    one = PagePicture("one", b"\x89PNG", "png", 'says "hi"')
-    text = page("<b>Eve</b>", ["from a & b"], [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)],
-                [PageSection("look", [one], None, [("x",), ("<i>",)], "a < b")])  # fmt: skip
-    assert "&lt;b&gt;Eve&lt;/b&gt;" in text and "<b>Eve" not in text and "a &lt; b" in text and "&lt;i&gt;" in text
-    assert 'src="data:image/png;base64,iVBORw==' in text and "says &quot;hi&quot;" in text
-    assert re.findall(r'(?:src|href)="(?!data:|#)', text) == [] and "<script" not in text and "url(" not in text
-    assert ">good<" in text and ">look<" in text
 
 
 @pytest.fixture

@@ -20,13 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from foreign_layouts import write_colmap
+from pictures import film, radiance_bytes
 from PIL import Image
 from pose_twins import landmarks, points, sam3d_fields
-from radiance_writer import radiance_bytes
 from rigs import animated_glb
 from smplh_model import write_model
 from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_high_avatar
-from tiny_film import film
 
 from avatar.baked_avatar import check_avatar
 from avatar.body import builtin_body, read_body

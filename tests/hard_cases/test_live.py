@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from angles import angles_between
+from pose_twins import angles_between
 
 from avatar.body import builtin_body
 from avatar.motion.amass import read_amass

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from loose_paths import dance, danced
+from loose_avatar import dance, danced
 
 from avatar.camera import Camera, orbit_camera
 from avatar.gltf.avatar_file import write_avatar
@@ -59,7 +59,7 @@ ADDS = {
     "grid alone": (Grid(axes=0.0), {"program": 1, "vertex_array": 1}),
     "outline": (Outline(), {"program": 1, "buffer": 1, "vertex_array": 1}),
     "secondary_motion": (SecondaryMotion(), {"program": 1, "buffer": 2, "vertex_array": 1}),
-    # what these do is done to poses and frames of films: test_held_feet.py, test_exposure.py
+    # what these do is done to poses and frames of films: test_ik.py, test_film.py
     "foot_lock": (FootLock(), {}),
     "motion_blur": (MotionBlur(), {}),
     "depth_of_field": (DepthOfField(), {}),

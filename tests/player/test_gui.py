@@ -56,9 +56,11 @@ def test_panels_stand_around_the_picture_and_g_hides_them(window):
     assert np.array_equal(picture(window, run(window, "g wait"))[40:], picture(window, with_panels)[40:])
 
 
-def test_tab_selects_an_avatar_and_does_not_begin_to_type_in_a_panel(window):
+def test_tab_selects_an_avatar_and_a_widget_not_shown_is_named(window):
     run(window, "tab wait wait wait")
     assert window.parts.state.layout.panels_drawn
+    with pytest.raises(ValueError, match=r"no widget 'fly' is shown; there are .*play"):
+        run(window, "press:fly")
     # g is still a key of the window, no letter in a text field
     run(window, "g wait")
     assert not window.parts.state.layout.panels_drawn
@@ -78,7 +80,7 @@ def test_widgets_do_what_their_keys_do(window):
     assert line.a is None and line.b is None
 
 
-def test_scrubbing_by_dragging_the_long_slider(window):
+def test_the_long_slider_scrubs_and_lists_open_over_the_picture(window):
     x, y = window.panels.places["scrub"]
     run(window, f"drag:{x - 200}:{y}:{x}:{y}")
     middle = window.parts.state.timeline.frame
@@ -88,9 +90,6 @@ def test_scrubbing_by_dragging_the_long_slider(window):
     assert (
         window.parts.viewpoint.cameras.orbit.azimuth == window.parts.viewpoint.cameras.orbit.home[2]
     )  # the camera did not turn along
-
-
-def test_lists_open_over_the_picture_and_choose(window):
     run(window, "press:loop wait")
     x, y = window.panels.places["loop"]
     run(window, f"click:{x}:{y - 30} wait")
@@ -200,11 +199,6 @@ def test_small_windows_have_no_panels_but_the_line_of_text(window):
     assert image.shape == (200, 300, 3) and window.parts.state.layout.area == (0, 0, 300, 200)
     assert (image[185:, :40] != image[0, 0]).any()
     assert picture(window, run(window, f"size:{SIZE[0]}:{SIZE[1]} wait wait")).shape[1] < SIZE[0]
-
-
-def test_a_widget_that_is_not_shown_is_named(window):
-    with pytest.raises(ValueError, match=r"no widget 'fly' is shown; there are .*play"):
-        run(window, "press:fly")
 
 
 # -- drawing alone

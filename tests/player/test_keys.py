@@ -16,16 +16,13 @@ from player.window.keyboard import KEYS
 ACTIONS = [action for group in GROUPS for action in group.actions]
 
 
-def test_every_action_is_in_a_group_and_every_key_has_a_name():
+def test_every_action_has_a_group_and_a_named_key_and_no_key_two_meanings():
     assert {id(value) for value in vars(actions).values() if isinstance(value, Action)} == {id(a) for a in ACTIONS}
     assert len(ACTIONS) == len({id(action) for action in ACTIONS}) > 40
     for action in ACTIONS:
         assert action.keys and action.means
         for key in action.keys:
             assert set(key.split("+")) <= KEYS.keys(), key
-
-
-def test_no_key_means_two_things_in_one_group():
     for group in GROUPS:
         keys = [key for action in group.actions if action.when is actions._always for key in action.keys]
         assert len(keys) == len(set(keys)), group.title

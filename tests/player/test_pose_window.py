@@ -166,16 +166,7 @@ def test_hands_feet_body_and_elbows_are_pulled_and_pins_hold(opened):
     assert session.pose.root[1] < start.root[1] - 0.01
     np.testing.assert_allclose(session.world()[J["left_ankle"]], foot, atol=1e-6)
     assert joint_angles(session.pose.axis_angle)[J["left_knee"], 0] > 0.2
-    # escape gives up a drag, and does not close the window
     here = session.pose
-    x, y = at(window, session.world()[J["right_wrist"], :3, 3])
-    window.pointer.move(x, y)
-    window.pointer.press(0)
-    window.pointer.move(x + 30, y + 30)
-    assert not session.pose.same(here)
-    run(window, "escape")
-    window.pointer.release(0)
-    assert session.pose.same(here) and not window.parts.closing
     # a press on a handle that does not move selects its joint; beside everything the camera turns
     x, y = at(window, session.world()[J["right_ankle"], :3, 3])
     run(window, f"move:{x:.1f}:{y:.1f} wait click:{x:.1f}:{y:.1f}")

@@ -48,17 +48,6 @@ def test_panels_reach_interactive_widgets_only_where_a_tooltip_is_asked_for():
             assert needed & {"tip", "action"}, name
 
 
-def test_no_object_of_the_window_has_thirty_attributes(opened):
-    window = opened()
-    parts = window.parts
-    run(window, "p wait")
-    for thing in (
-        window, window.screen, window.pointer, window.keyboard, window.panels, parts, parts.state, parts.state.layout,
-        parts.viewpoint, parts.look, parts.posing, parts.posing.edit, parts.posing.edit.tool, parts.recorder,
-    ):  # fmt: skip
-        assert len(vars(thing)) <= 12, (type(thing).__name__, sorted(vars(thing)))
-
-
 @pytest.fixture
 def opened(open_window):
     """Opens windows with panels, paused at the first frame."""
@@ -100,24 +89,27 @@ def test_the_list_of_keys_is_shown_over_panels_and_goes_away(opened, key):
     assert np.array_equal(closed[middle], before[middle])
 
 
-def test_saving_a_pose_is_in_sight_in_a_usual_window(opened):
+def test_saving_a_pose_is_in_sight_and_few_attributes_are_on_each_object(opened):
     window = opened()
     run(window, "p wait wait")
     low = window.parts.state.layout.area[3]
     for name in ("save", "load", "file", "undo", "joint", "left fist", "pin left foot", "key"):
         assert window.panels.places[name][1] < low - 8, name
+    parts = window.parts
+    for thing in (
+        window, window.screen, window.pointer, window.keyboard, window.panels, parts, parts.state, parts.state.layout,
+        parts.viewpoint, parts.look, parts.posing, parts.posing.edit, parts.posing.edit.tool, parts.recorder,
+    ):  # fmt: skip
+        assert len(vars(thing)) <= 12, (type(thing).__name__, sorted(vars(thing)))
 
 
-def test_of_a_long_path_the_file_s_name_is_in_sight_and_the_whole_in_the_tooltip(opened, tmp_path):
+def test_of_a_long_path_the_name_is_in_sight_and_the_middle_goes_last(opened, tmp_path, monkeypatch):
     folder = tmp_path / "a_folder_with_quite_a_long_name" / "and_another_one_in_it" / "and_a_last_one"
     folder.mkdir(parents=True)
     path = folder / "my_motion.npz"
     path.write_bytes((Path(avatar.__file__).parent / "data" / "motions" / "counting.npz").read_bytes())
     window = opened("--motion", str(path))
     assert window.panels.tips["path motion"] == str(path)
-
-
-def test_paths_lose_their_folders_first_then_the_middle_of_their_name(monkeypatch):
     monkeypatch.setattr(widgets.imgui, "calc_text_size", lambda text: widgets.imgui.ImVec2(float(len(text)), 1.0))
     path = "/home/someone/motions/walking/slowly.bvh"
     assert elided(path, 99.0) == path

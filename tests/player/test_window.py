@@ -24,6 +24,7 @@ from player.scene.renderer import Renderer
 from player.window.panels import hud_panel
 from player.window.script import GESTURES, steps
 from player.window.window import Window
+from tests.window_script import run
 
 
 def screenshot(avatar_path, path, script, *more, size="160x200"):
@@ -211,7 +212,7 @@ def test_the_list_of_keys_is_shown_in_windows_of_every_size(avatar_path, tmp_pat
     assert len(keys[0]) > 50 and np.ptp(keys[0]) > 0.4 * image.shape[0]
 
 
-def test_an_unknown_word_in_a_script_is_refused(avatar_path):
+def test_a_script_has_known_words_and_the_docs_name_all(avatar_path):
     with pytest.raises(AssetError, match="'fly' is no key"):
         play_main([avatar_path, "--platform", "null", "--script", "space fly"])
     words = ["turn:1:-2", "near:-1", "size:3:4", "wait", "q", "click:3:4", "drag:1:2:3:4", "scrub:1.5", "type:a_b"]
@@ -219,16 +220,16 @@ def test_an_unknown_word_in_a_script_is_refused(avatar_path):
     for wrong in ("turn:x:1", "click:1", "scrub:", "drag:1:2:3", "type:", "down:fly", "press:"):
         with pytest.raises(ValueError, match="is no key"):
             steps([wrong])
+    words = (Path(__file__).parents[2] / "docs" / "play.md").read_text("utf-8").split("## Scripts")[1]
+    for word in (*GESTURES, "wait", "pose", "press", "type", "down", "up"):
+        assert re.search(rf"`(?:[^`]*, )?{word}[:`]", words), word
 
 
-def test_without_a_display_one_line_says_so(avatar_path, monkeypatch):
+def test_without_a_display_or_imgui_bundle_one_line_says_what_to_do(avatar_path, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(AssetError, match=r"no window: .*selfscan render"):
         play_main([avatar_path])
-
-
-def test_without_imgui_bundle_one_line_says_what_to_install(avatar_path):
     code = (
         "import sys; sys.modules['imgui_bundle'] = None\n"
         "from selfscan.__main__ import main\nsys.exit(main(sys.argv[1:]))"
@@ -238,7 +239,7 @@ def test_without_imgui_bundle_one_line_says_what_to_install(avatar_path):
     assert "selfscan play needs the package 'imgui-bundle'" in done.stderr and ".[gui]" in done.stderr
 
 
-def test_the_orbit_never_passes_a_pole_and_stays_finite():
+def test_orbit_and_turntable_stay_finite_and_choose_what_is_there():
     orbit = Orbit(np.zeros(3), 2.0, 0.0)
     orbit.turn(1e6, 1e6)
     orbit.approach(1e4)
@@ -246,6 +247,14 @@ def test_the_orbit_never_passes_a_pole_and_stays_finite():
     orbit.approach(-1e4)
     orbit.shift(10.0, 10.0, 100)
     assert np.isfinite(orbit.target).all()
+    cameras = Cameras(Orbit(np.zeros(3), 2.0, 0.3), kind="turntable")
+    before = cameras.camera((10, 10), 0.0, 0).camera_from_world
+    for _ in range(120):
+        cameras.advance(0.1)
+    assert np.allclose(cameras.camera((10, 10), 0.0, 0).camera_from_world, before, atol=1e-9)
+    assert cameras.kinds == ["orbit", "walk", "turntable"]
+    with pytest.raises(ValueError, match="camera should be one of"):
+        Cameras(cameras.orbit, kind="path")
 
 
 def test_first_person_goes_where_it_looks():
@@ -263,18 +272,34 @@ def test_first_person_goes_where_it_looks():
     assert np.isfinite(walk.camera((10, 10)).camera_from_world).all()
 
 
-def test_a_turntable_turns_once_in_its_time_and_only_what_is_there_can_be_chosen():
-    cameras = Cameras(Orbit(np.zeros(3), 2.0, 0.3), kind="turntable")
-    before = cameras.camera((10, 10), 0.0, 0).camera_from_world
-    for _ in range(120):
-        cameras.advance(0.1)
-    assert np.allclose(cameras.camera((10, 10), 0.0, 0).camera_from_world, before, atol=1e-9)
-    assert cameras.kinds == ["orbit", "walk", "turntable"]
-    with pytest.raises(ValueError, match="camera should be one of"):
-        Cameras(cameras.orbit, kind="path")
+def test_a_replaced_file_is_shown_where_the_old_one_stood_and_a_broken_one_is_named(
+    open_window, avatar, tmp_path, capsys
+):
+    file = tmp_path / "me.glb"
+    write_avatar(file, avatar)
+    window = open_window(str(file), "--follow", "--no-gui", script="space home wait")
+    parts = window.parts
 
+    def shown(words="wait"):
+        left, top, width, height = parts.state.layout.area
+        return run(window, words)[top + height // 2 : top + height - 60, left : left + width]  # no text
 
-def test_docs_name_every_word_of_scripts():
-    words = (Path(__file__).parents[2] / "docs" / "play.md").read_text("utf-8").split("## Scripts")[1]
-    for word in (*GESTURES, "wait", "pose", "press", "type", "down", "up"):
-        assert re.search(rf"`(?:[^`]*, )?{word}[:`]", words), word
+    before = shown("right right wait")
+    camera, frame = parts.state.last.camera, parts.state.timeline.frame
+    parts.state.playback.tracks[1].at = np.array([0.3, 0, -0.4])
+    moved = shown()
+    assert (moved != before).any()
+
+    levels = tuple(replace(level, base_color=255 - level.base_color) for level in avatar.levels)
+    write_avatar(file, replace(avatar, levels=levels))
+    other = shown()
+    assert "a new one is shown" in capsys.readouterr().out
+    assert (other != moved).any(-1).mean() > 0.005
+    assert (parts.state.playback.tracks[1].at == [0.3, 0, -0.4]).all() and parts.state.timeline.frame == frame
+    assert np.array_equal(parts.state.last.camera.camera_from_world, camera.camera_from_world)
+    assert np.array_equal(shown(), other)
+
+    file.write_bytes(b"nothing")
+    assert np.array_equal(shown(), other) and "me.glb" in capsys.readouterr().out
+    file.unlink()
+    assert np.array_equal(shown(), other)

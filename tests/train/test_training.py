@@ -59,7 +59,7 @@ def own_run(tiny_run, tmp_path):
     return Path(shutil.copytree(tiny_run, tmp_path / "own"))
 
 
-def test_cached_sections_begin_outside_the_template_and_the_hits_lie_on_it(capture, hand):
+def test_denormals_are_flushed_while_training_and_cached_sections_begin_outside_the_template(capture, hand):
     build, rays = hand
     field = build()
     with torch.no_grad():
@@ -68,6 +68,12 @@ def test_cached_sections_begin_outside_the_template_and_the_hits_lie_on_it(captu
     assert (s[:, 0] > -0.004).float().mean() > 0.98
     assert (s[on].amin(1) < 0.002).float().mean() > 0.95  # rays on the person enter the template
     assert len(rays.ends) > 100
+    # A k-d tree built with flushed denormals never ends: it split beside equal points and the process crashed.
+    tiny = lambda: float(torch.tensor([1e-310], dtype=torch.float64).mul(1.0)[0])
+    seen = []
+    train_field(build(), rays, by(), watch=Watch(report=lambda *_: seen.append(tiny())))
+    assert seen and max(seen) == 0.0
+    assert tiny() > 0
 
 
 @pytest.mark.parametrize("learns_poses", [False, True])
@@ -90,33 +96,21 @@ def test_resumed_training_equals_training_never_stopped(capture, hand, tmp_path,
     assert_same_bits(whole.state_dict(), again.state_dict())
 
 
-def test_denormals_are_flushed_while_training_and_never_after(hand):
-    """A k-d tree built with flushed denormals never ends: it split beside equal points and the process crashed."""
-    build, rays = hand
-    tiny = lambda: float(torch.tensor([1e-310], dtype=torch.float64).mul(1.0)[0])
-    seen = []
-    train_field(build(), rays, by(), watch=Watch(report=lambda *_: seen.append(tiny())))
-    assert seen and max(seen) == 0.0
-    assert tiny() > 0
-
-
-def test_a_checkpoint_cut_in_half_is_refused_by_name(hand, tmp_path):
+def test_a_broken_checkpoint_is_refused_and_a_folder_that_is_no_run(hand, tmp_path):
     build, rays = hand
     path = tmp_path / "half.ckpt"
     train_field(build(), rays, by(), checkpoints=Checkpoints(path=path, stop_after=1))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(AssetError, match=r"half\.ckpt: expected a checkpoint"):
         train_field(build(), rays, by(), checkpoints=Checkpoints(path=path, resume=True))
-
-
-def test_steps_that_are_not_finite_change_nothing_and_too_many_are_an_error(hand):
-    build, rays = hand
     poisoned = replace(rays, color=torch.full_like(rays.color, float("nan")))
     field = build()
     before = {name: value.clone() for name, value in field.state_dict().items()}
     with pytest.raises(FloatingPointError, match="not finite"):
         train_field(field, poisoned, by())
     assert_same_bits(field.state_dict(), before)
+    with pytest.raises(AssetError, match=r"run\.json: no such file"):
+        run_folder.read_run(tmp_path)
 
 
 def planted(*steps):
@@ -281,8 +275,3 @@ def test_the_surface_is_the_skin_although_the_field_is_hollow_and_a_pinhole_lead
     # what is left are folds of the face; a third of all vertices when the hollow stays
     assert (depth > 0.024).mean() < 0.002
     assert trimesh.Trimesh(vertices, faces, process=False).volume > 0.03  # m³; negative where triangles face inwards
-
-
-def test_a_folder_that_is_no_run_is_refused_by_name(tmp_path):
-    with pytest.raises(AssetError, match=r"run\.json: no such file"):
-        run_folder.read_run(tmp_path)

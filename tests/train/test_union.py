@@ -100,7 +100,7 @@ def test_each_term_of_L_g_pulls_the_body_sphere_onto_the_head_in_their_overlap_a
     assert_same_bits(fused.field(1).state_dict(), head)  # the other parts are fixed
 
 
-def test_L_g_is_zero_where_one_part_has_all_weight_or_the_part_never_learnt():
+def test_L_g_is_zero_where_one_part_has_all_weight_and_a_run_without_its_body_is_refused(capture, run, tmp_path):
     fused = _spheres()
     L_g = geometry_loss(fused, [torch.zeros(0, 3)], DEMO.parts, DEMO)
     alone = torch.tensor([[-0.1, 0, 0], [0.11, 0, 0]])
@@ -110,6 +110,8 @@ def test_L_g_is_zero_where_one_part_has_all_weight_or_the_part_never_learnt():
     assert asked(alone) == 0 and asked(deep) == 0
     # 1 m against the head's -7 mm there
     assert asked(both) == pytest.approx(DEMO.union.consistency * (1 + 0.007), rel=2e-3)
+    with pytest.raises(AssetError, match=r"body_stage1\.pt: no such file"):
+        variant(replace(run, path=tmp_path), capture, "no_L_g")
 
 
 def test_L_g_compares_metres_with_metres_where_eq5_scales_the_head():
@@ -186,7 +188,7 @@ def test_eq8_recovers_a_planted_colour_change_and_eq9_then_hides_it():
     assert torch.equal(fused.field(0).reference, fused.field(0).appearance.weight.mean(0))
 
 
-def test_eq9_blends_linearly_over_the_overlap_and_a_switch_jumps_in_its_middle():
+def test_eq9_blends_linearly_a_switch_jumps_in_its_middle_and_eq8_of_one_frame_stays_finite():
     fused = _coloured_spheres(0.4)
     points, directions = _seen_overlap(fused)
     body, head = (fused.part_color(i, points, directions) for i in (0, 1))
@@ -194,13 +196,8 @@ def test_eq9_blends_linearly_over_the_overlap_and_a_switch_jumps_in_its_middle()
     torch.testing.assert_close(fused.color(points, directions), body * (1 - share) + head * share)
     fused.switch = True
     torch.testing.assert_close(fused.color(points, directions), torch.where(share > 0.5, head, body))
-
-
-def test_eq8_with_a_single_frame_stays_finite():
-    fused = _coloured_spheres(0.4)
     head = fused.field(1)
     head.appearance.weight.data = head.appearance.weight.data[:1].clone()
-    points, directions = _seen_overlap(fused)
     _, after = match_appearance(fused, 1, points, directions, CodeSteps(count=5))
     assert np.isfinite(after) and torch.isfinite(head.reference).all()
 
@@ -328,11 +325,6 @@ def test_variants_differ_from_the_run_in_what_they_name_and_leave_it_alone(captu
             torch.testing.assert_close(reference, mean if "codes" in name else run.field.field(index).reference)
     with pytest.raises(ValueError, match=r"should be one of .*is 'no_head'"):
         variant(run, capture, "no_head")
-
-
-def test_a_run_without_its_stage_1_body_is_refused_by_name(capture, run, tmp_path):
-    with pytest.raises(AssetError, match=r"body_stage1\.pt: no such file"):
-        variant(replace(run, path=tmp_path), capture, "no_L_g")
 
 
 def test_seam_steps_are_what_they_say(run, capture):

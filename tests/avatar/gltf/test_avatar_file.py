@@ -13,6 +13,7 @@ from avatar.gltf import avatar_file
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.gltf.document import read_gltf
 from avatar.gltf.scene import read_primitive, read_skin, world_from_node
+from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import JOINTS, joint_transforms, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from command.errors import AssetError
@@ -29,6 +30,15 @@ def oracle(**changes):
     return tiny_avatar(**(nothing | changes))
 
 
+# under a light that varies over it, some of it loose
+LIGHT = CaptureLight(0.4, (Lamp((0.0, 0.6, 0.8), 0.5),), gloss=0.1, gamma=2.2, frame="world")
+LIT = dataclasses.replace(
+    tiny_level(features=False),
+    light=np.linspace(0.5, 1.5, 16, dtype=np.float32).reshape(8, 2),
+    loose=np.linspace(0, 1, 8, dtype=np.float32),
+)
+
+
 @pytest.mark.parametrize(
     "avatar",
     [
@@ -38,6 +48,7 @@ def oracle(**changes):
         tiny_high_avatar(),
         tiny_high_avatar(network=None, default_view="linear"),
         tiny_high_avatar(linear=None, default_view="off"),
+        oracle(levels=(LIT,), light=LIGHT),
     ],
 )
 def test_an_avatar_comes_back_to_the_last_bit(path, avatar):
@@ -64,11 +75,20 @@ def test_of_the_levels_only_those_wanted_are_decoded(path, monkeypatch):
     assert 0 < few < len(decoded) - few
 
 
-def test_the_same_avatar_gives_the_same_bytes(path):
+def test_the_same_avatar_gives_the_same_bytes_and_trimesh_loads_its_finest_level(path):
     write_avatar(path, tiny_avatar())
     first = path.read_bytes()
     write_avatar(path, read_avatar(path))
     assert path.read_bytes() == first
+    avatar = tiny_avatar()
+    write_avatar(path, avatar)
+    scene = trimesh.load_scene(path)
+    (name,) = scene.graph.nodes_geometry
+    mesh = scene.geometry[scene.graph[name][1]]
+    np.testing.assert_array_equal(mesh.faces, avatar.levels[0].faces)
+    np.testing.assert_allclose(mesh.vertices, avatar.levels[0].positions)
+    texture = mesh.visual.material.baseColorTexture
+    np.testing.assert_array_equal(np.array(texture), avatar.levels[0].base_color)
 
 
 @pytest.mark.parametrize("vertices, width", [(65534, 2), (65536, 4)])
@@ -114,18 +134,6 @@ def test_four_features_lie_as_grey_planes_one_below_the_other_in_each_image(path
             np.testing.assert_array_equal(np.array(image), np.concatenate(planes))
 
 
-def test_trimesh_loads_the_finest_level_with_its_texture(path):
-    avatar = tiny_avatar()
-    write_avatar(path, avatar)
-    scene = trimesh.load_scene(path)
-    (name,) = scene.graph.nodes_geometry
-    mesh = scene.geometry[scene.graph[name][1]]
-    np.testing.assert_array_equal(mesh.faces, avatar.levels[0].faces)
-    np.testing.assert_allclose(mesh.vertices, avatar.levels[0].positions)
-    texture = mesh.visual.material.baseColorTexture
-    np.testing.assert_array_equal(np.array(texture), avatar.levels[0].base_color)
-
-
 @pytest.mark.parametrize("avatar", [tiny_avatar(), oracle(), tiny_high_avatar()])
 def test_the_khronos_validator_finds_no_error_and_no_warning(path, avatar):
     folder = package_folder("gltf-validator")
@@ -161,10 +169,12 @@ BROKEN = [
     (changed("view_q", 1, [-1, 0, 0, 0, 0, 0]), r"levels\[0\].view_q should be positive semi-definite"),
     (changed("view_q", 1, [1, 2, 0, 1, 0, 0]), r"levels\[0\].view_q should be positive semi-definite"),
     (changed("view_seen", 1, 1.5), r"levels\[0\].view_seen should be from 0 to 1, is 1.5 in row 1"),
+    (oracle(levels=(dataclasses.replace(LIT, loose=LIT.loose + 0.5),), light=LIGHT), r"\.loose should be from 0 to 1"),
     (changed("joints", 4, [3, 3, 3, 3]), r"levels\[0\].joints should be each joint once"),
     (oracle(default_view="network"), "default_view is 'network', but the avatar has no network"),
     (tiny_avatar(levels=(tiny_level(features=False),)), r"but levels\[0\] has no features"),
     (tiny_avatar(levels=tiny_avatar().levels[::-1]), r"finest to coarsest, have \[3, 6\] faces"),
+    (oracle(levels=(LIT,)), "light should be in the avatar and all of its levels"),
     (oracle(joint_positions=moved_pelvis()), "pelvis at the origin, has it at"),
     (oracle(provenance={"psnr": float("nan")}), "provenance should be what JSON holds"),
     (oracle(provenance={"psnr": np.float32(1)}), "provenance should be what JSON holds"),
@@ -179,13 +189,17 @@ def test_a_broken_promise_is_named_and_the_old_file_stays(path, avatar, message)
     assert path.read_bytes() == b"old" and [p.name for p in path.parent.iterdir()] == ["tiny.glb"]
 
 
-def test_influences_of_no_weight_name_joint_zero(path):
+def test_influences_of_no_weight_name_joint_zero_and_unit_is_kept_by_float32(path):
     level = tiny_level()
     weights = np.tile(np.array([255, 0, 0, 0], np.uint8), (len(level.weights), 1))
     write_avatar(path, oracle(levels=(dataclasses.replace(level, weights=weights),)))
     found = read_avatar(path).levels[0].joints
     np.testing.assert_array_equal(found[:, 0], level.joints[:, 0])
     assert not found[:, 1:].any()
+    # Directions normalised in float32 pass the reader's check of their length.
+    directions = unit(np.random.default_rng(0).normal(size=(8, 3)) * 1e-20)
+    write_avatar(path, oracle(levels=(dataclasses.replace(tiny_level(), view_dir=directions),)))
+    np.testing.assert_array_equal(read_avatar(path).levels[0].view_dir, directions)
 
 
 @pytest.mark.parametrize("extension", ["VRM", "VRMC_vrm"])
@@ -195,10 +209,3 @@ def test_a_vrm_is_refused_with_what_can_be_done_with_it(tmp_path, extension):
     person = rigs.write(tmp_path / "person.vrm", document)
     with pytest.raises(AssetError, match=f"a VRM person, not a baked avatar: `selfscan synth {person} OUT`.*--motion"):
         read_avatar(person)
-
-
-def test_unit_is_kept_by_float32(path):
-    """Directions normalised in float32 pass the reader's check of their length."""
-    directions = unit(np.random.default_rng(0).normal(size=(8, 3)) * 1e-20)
-    write_avatar(path, oracle(levels=(dataclasses.replace(tiny_level(), view_dir=directions),)))
-    np.testing.assert_array_equal(read_avatar(path).levels[0].view_dir, directions)

@@ -148,7 +148,14 @@ def test_of_several_people_the_largest_is_taken_and_an_empty_frame_is_unseen_and
     assert "no person in 1 of 3 frames" in found.notes
 
 
-def test_parts_of_a_picture_need_its_size(tmp_path):
+def test_parts_of_a_picture_need_its_size_and_a_folder_of_nothing_is_refused(tmp_path):
+    with pytest.raises(AssetError, match=r"expected keypoints .*found none"):
+        read_keypoints(tmp_path)
+    write_mediapipe(tmp_path / "0.json", *truth())
+    assert len(read_keypoints(tmp_path).pixels) == FRAMES
+    write_mediapipe(tmp_path / "1.json", *truth())
+    with pytest.raises(AssetError, match="expected all frames of MediaPipe in one file, found 2 files"):
+        read_keypoints(tmp_path)
     path = write_mediapipe(tmp_path / "a.json", *truth(), told=False)
     with pytest.raises(AssetError, match="a picture of unknown size"):
         read_keypoints(path)
@@ -220,16 +227,6 @@ def test_a_face_of_mediapipe_gives_the_68_points(data, tmp_path):
     # eyes and lips go round: outer corners, and upper before lower
     assert x[36] < x[39] < x[42] < x[45] and y[37] < y[41] and y[43] < y[47]
     assert x[48] == x[48:].min() and x[54] == x[48:].max() and y[51] < y[62] < y[66] < y[57]
-
-
-def test_a_folder_of_nothing_and_one_with_a_file_of_mediapipe_for_each_frame_are_refused(tmp_path):
-    with pytest.raises(AssetError, match=r"expected keypoints .*found none"):
-        read_keypoints(tmp_path)
-    write_mediapipe(tmp_path / "0.json", *truth())
-    assert len(read_keypoints(tmp_path).pixels) == FRAMES
-    write_mediapipe(tmp_path / "1.json", *truth())
-    with pytest.raises(AssetError, match="expected all frames of MediaPipe in one file, found 2 files"):
-        read_keypoints(tmp_path)
 
 
 def test_results_of_mediapipes_tasks_are_written_as_its_files_and_read_back(tmp_path):

@@ -23,6 +23,7 @@ from capture.folder import read_capture
 from capture.read.easymocap import import_easymocap
 from capture.read.opencv_yaml import read_opencv_yaml
 from command.errors import AssetError
+from selfscan.__main__ import main
 
 
 def imported(own, out, body, **changes):
@@ -51,6 +52,14 @@ def test_own_videos_become_the_capture_that_they_were_written_from(own, source, 
     assert "not redistributable" in found.facts["body_licence"]
     assert any("mean added" in note for note in notes)
     assert any(note.startswith("landmarks: 1") and "0.00 pixels" in note and "0.0 mm" in note for note in notes)
+
+
+def test_own_videos_are_imported_by_the_command(own, source, model, tmp_path, capsys):
+    words = ["import", "easymocap", str(own.root), str(tmp_path / "out"), "--body", str(model), "--head", str(own.head),
+             "--landmarks", str(own.landmarks), "--masks", str(own.masks), "--select", "body=1:1:2"]  # fmt: skip
+    assert main(words) == 0
+    assert "body: 2 of 3 frames, 000501 to 000502" in capsys.readouterr().out
+    assert not (tmp_path / "out/body/images/000002.png").exists()
 
 
 @pytest.mark.parametrize("hands", ["pca", "old", "full"])

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from angles import angles_between
 from pictures import pixels
+from pose_twins import angles_between
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -224,13 +224,10 @@ def test_silent_senders_give_their_place_to_a_new_one(web_socket, monkeypatch):
             silent[0].recv(timeout=5)
 
 
-def test_without_websockets_one_line_says_what_to_install(monkeypatch):
+def test_taken_ports_foreign_hosts_and_a_missing_package_are_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "websockets.sync.server", None)
     with pytest.raises(AssetError, match=r"pip install -e '\.\[live\]'"):
         listen(Address("ws", "127.0.0.1", 0), Inbox("ws"))
-
-
-def test_a_taken_port_and_a_host_of_elsewhere_are_one_line():
     listener = listen(Address("vmc", "127.0.0.1", 0), Inbox("vmc"))
     with pytest.raises(AssetError, match="in use by another program"):
         listen(listener.address, Inbox("vmc"))
@@ -239,7 +236,7 @@ def test_a_taken_port_and_a_host_of_elsewhere_are_one_line():
         listen(Address("vmc", "192.0.2.1", 39539), Inbox("vmc"))
 
 
-def test_addresses_are_of_this_machine_unless_a_host_is_named():
+def test_addresses_are_of_this_machine_and_stream_sends_the_motion(moving, capsys):
     kinds = ("vmc", "udp", "ws")
     assert parse_address("vmc", kinds) == Address("vmc", "127.0.0.1", 39539)
     assert parse_address("udp:9000", kinds) == Address("udp", "127.0.0.1", 9000)
@@ -250,6 +247,16 @@ def test_addresses_are_of_this_machine_unless_a_host_is_named():
     for wrong in ("", "osc:1", "vmc:x", "vmc:70000", "udp:-1", "udp:::1:90", "udp:1.2.3.4:"):
         with pytest.raises(ValueError, match="expected"):
             parse_address(wrong, kinds)
+    inbox = Inbox("udp")
+    listener = listen(Address("udp", "127.0.0.1", 0), inbox)
+    assert stream_main([str(moving[0]), "--to", str(listener.address), "--rate", "1000"]) == 0
+    listener.close()
+    assert "poses sent in" in capsys.readouterr().out and inbox.counters.frames > 0
+    for wrong in (["--to", "ws:1"], ["--to", "udp:0"], ["--to", "udp:1", "--rate", "0"], []):
+        with pytest.raises(SystemExit):
+            stream_main(["counting", *wrong])
+    with pytest.raises(AssetError, match="no such file"):
+        stream_main(["absent.npz", "--to", "udp:1"])
 
 
 # The window -----------------------------------------------------------------------------------------------------
@@ -414,16 +421,3 @@ def test_roots_are_scaled_placed_and_lifted(avatar):
     assert np.allclose(feed(1, [6.0, 1.8, 7.0], 2 * height), [0.5, 0.9, 0], atol=1e-5)
     live.calibrate()
     assert np.allclose(feed(2, [6.0, 0.0, 7.0], 2 * height), [0, height, 0], atol=1e-5)  # no height was measured
-
-
-def test_stream_sends_the_motion_and_says_so(moving, capsys):
-    inbox = Inbox("udp")
-    listener = listen(Address("udp", "127.0.0.1", 0), inbox)
-    assert stream_main([str(moving[0]), "--to", str(listener.address), "--rate", "1000"]) == 0
-    listener.close()
-    assert "poses sent in" in capsys.readouterr().out and inbox.counters.frames > 0
-    for wrong in (["--to", "ws:1"], ["--to", "udp:0"], ["--to", "udp:1", "--rate", "0"], []):
-        with pytest.raises(SystemExit):
-            stream_main(["counting", *wrong])
-    with pytest.raises(AssetError, match="no such file"):
-        stream_main(["absent.npz", "--to", "udp:1"])
