@@ -168,8 +168,6 @@ PASTE_MIRRORED = Action(
 )
 MIRROR = Action("mirror the pose; place and heading stay", ("m",), posed(lambda edit: edit.session.mirror()))
 TO_GROUND = Action("set the body on the ground", ("n",), posed(lambda edit: edit.to_ground()))
-SET_KEY = Action("set a keyframe at this frame", ("i",), posed(lambda edit: edit.set_key()))
-DELETE_KEY = Action("delete the keyframe at this frame", ("delete",), posed(lambda edit: edit.session.delete_key()))
 GIVE_UP = Action("give up the drag", ("escape",), posed(lambda edit: edit.tool.cancel()), when=is_dragging)
 CLOSE_HELP = Action("close the list of keys", ("escape",), toggle_help, when=lambda parts: parts.state.layout.help_on)
 
@@ -179,7 +177,7 @@ FIRST_PERSON = KeyGroup(
 )
 POSING = KeyGroup(
     "Posing by hand",
-    (UNDO, REDO, COPY_LIMB, COPY_POSE, PASTE, PASTE_MIRRORED, MIRROR, TO_GROUND, SET_KEY, DELETE_KEY, GIVE_UP),
+    (UNDO, REDO, COPY_LIMB, COPY_POSE, PASTE, PASTE_MIRRORED, MIRROR, TO_GROUND, GIVE_UP),
     lambda parts: parts.posing.edit is not None,
 )  # fmt: skip
 GROUPS = (

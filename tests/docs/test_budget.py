@@ -10,17 +10,17 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_391,
     "command": 1_280,
-    "avatar": 8_446,
+    "avatar": 8_439,
     "geometry": 1_728,
     "capture": 11_830,
     "train": 5_693,
     "bake": 4_599,
-    "player": 18_765,
+    "player": 18_440,
     "shaders": 1_036,
     "synth": 2_688,
     "bench": 5_853,
     "selfscan": 432,
-    "tests": 35_885,
+    "tests": 35_759,
 }
 
 

@@ -1,4 +1,4 @@
-"""The panels of posing: the whole pose and its file, a joint's angles, hands, reach, keyframes, the library."""
+"""The panels of posing: the whole pose and its file, a joint's angles, hands, reach, the library."""
 
 from collections.abc import Callable
 from functools import partial
@@ -44,7 +44,6 @@ class PosePanels:
             ("Joint", "The selected joint and its angles.", self._joint),
             ("Hands", "Hand shapes by name, and each finger.", self._hands),
             ("Reach", "How hands and feet are pulled, and which stay where they are.", self._reach),
-            ("Keyframes", "Poses at frames of the timeline, and what is between them.", self._keyframes),
             ("Library", "Poses to take, and your own to keep.", self._library),
         ):
             if self.ui.section(title, tip):
@@ -85,9 +84,8 @@ class PosePanels:
         edit.tool.frame = "world" if world else "local"
         tip = "The .npz file (AMASS) to save or load; empty saves to a new one, selfscan-pose-000.npz."
         edit.file = ui.field("file", edit.file, tip, hint="name.npz")
-        what = "keyframes" if session.keys else "pose"
-        self._button(edit, f"Save {what}", f"Write the {what} to the file.", edit.save, name="save")
-        self._button(edit, "Load", "Take the pose or keyframes of the file.", edit.load, beside=True)
+        self._button(edit, "Save pose", "Write the pose to the file.", edit.save, name="save")
+        self._button(edit, "Load", "Take the pose of the file, of a motion its first.", edit.load, beside=True)
         if session.history.dirty:
             imgui.same_line()
             imgui.text_disabled("not saved")
@@ -173,28 +171,6 @@ class PosePanels:
             on = ui.checkbox(f"pin {name}", limb in edit.session.pinned, tip, beside=bool(number % 2))
             if on != (limb in edit.session.pinned):
                 edit.session.pin(limb, on)
-
-    def _keyframes(self, edit: PoseEdit) -> None:
-        """Keyframes: the present pose at the frame that the timeline shows."""
-        ui, parts, session, line = self.ui, self.parts, edit.session, self.parts.state.timeline
-        ui.action("Set keyframe", actions.SET_KEY, parts, name="key")
-        if session.frame in dict(session.keys):
-            ui.action("Delete keyframe", actions.DELETE_KEY, parts, name="delete key", beside=True)
-        smooth = ui.checkbox("smooth", session.state.easing == "smooth", "Start and stop softly at each keyframe.")
-        session.ease("smooth" if smooth else "linear")
-        tip = "Every change of the pose becomes a keyframe at once."
-        session.auto_key = ui.checkbox("key every change", session.auto_key, tip, beside=True)
-        seconds = ui.number("length, s", line.duration, "How long the timeline is.", name="length")
-        if seconds is not None:
-            edit.set_length(seconds)
-        for number, (frame, _) in enumerate(session.keys):
-            if number % 6:
-                imgui.same_line()
-            text = f"[{frame}]" if frame == session.frame else f"{frame}"
-            if ui.small_button(text, f"Go to the keyframe at frame {frame}.", name=f"key {frame}"):
-                edit.show_frame(frame)
-        if session.state.unkeyed:
-            imgui.text_disabled("changed here, and no keyframe yet")
 
     def _library(self, edit: PoseEdit) -> None:
         """Poses to take; the present pose to keep under a name."""

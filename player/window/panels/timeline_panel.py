@@ -41,8 +41,8 @@ def timeline_panel(ui: Widgets, parts: WindowParts) -> None:
 
 
 def _scrubber(ui: Widgets, parts: WindowParts) -> None:
-    line, edit = parts.state.timeline, parts.posing.edit
-    tip = "Drag to any moment. Yellow: the range A-B. Triangles: camera keys. Diamonds: keyframes of the pose."
+    line = parts.state.timeline
+    tip = "Drag to any moment. Yellow: the range A-B. Triangles: camera keys."
     frame = ui.scrubber(line.frame, max(line.frames - 1, 1), tip)
     if frame is not None:
         line.seek(frame)
@@ -55,11 +55,6 @@ def _scrubber(ui: Widgets, parts: WindowParts) -> None:
     if line.a is not None or line.b is not None:
         last = line.frames - 1 if line.b is None else line.b
         draw.add_rect_filled(imgui.ImVec2(across(line.a or 0), low.y), imgui.ImVec2(across(last), high.y), RANGE)
-    if edit is not None:
-        y = 0.5 * (low.y + high.y)
-        # a diamond each
-        for frame, _ in edit.session.keys:
-            draw.add_ngon_filled(imgui.ImVec2(across(frame * line.rate / edit.session.rate), y), 5.0, MARK, 4)
     for seconds, _ in parts.viewpoint.cameras.keys:
         x = across(seconds * line.rate - 0.5)
         draw.add_triangle_filled(

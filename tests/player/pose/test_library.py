@@ -10,7 +10,7 @@ from avatar.motion.read import read_motion
 from avatar.skeleton import JOINTS, joint_transforms
 from command.errors import AssetError
 from player.draw.posing import grounded
-from player.pose.keyframes import Pose
+from player.pose.history import Pose
 from player.pose.library import BUILTIN, Library, builtin_pose, check_name, user_folder
 
 ROOT = np.array([0.5, 0.0, -1.0])
