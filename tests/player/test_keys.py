@@ -47,7 +47,7 @@ def test_the_command_line_names_every_key():
     for group in GROUPS:
         for keys, means in rows(group):
             assert f"{keys} " in text and means in text
-    assert {"p", "i", "m", "n", "Ctrl+Z"} <= {keys for group in GROUPS for keys, _ in rows(group)}
+    assert {"p", "m", "n", "Ctrl+Z"} <= {keys for group in GROUPS for keys, _ in rows(group)}
     assert max(map(len, command_line_help().splitlines())) <= 112
 
 
