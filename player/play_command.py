@@ -111,7 +111,7 @@ class PlayCommand:
         if self.scene and (given or (self.hands, self.ground) != ("file", "auto")):
             raise ValueError("--motion, --live, --at, --body, --hands and --ground are in the scene file")
         if live is None and self.scene is None and self.source != LiveCommand():
-            raise ValueError("--smooth, --buffer, --calibrate, --record and --latency go with --live")
+            raise ValueError("--smooth, --buffer, --calibrate and --record go with --live")
         if live is not None and (self.motion or self.capture):
             raise ValueError("give --motion or --capture or --live")
         count = len(self.people)
@@ -205,6 +205,6 @@ def _addresses(scene: Scene, command: PlayCommand) -> list[tuple[Address, list[i
     for index, entry in enumerate(scene.avatars):
         if entry.live is not None:
             found.setdefault(parse_address(entry.live, ("vmc", "udp", "ws")), []).append(index)
-    if len(found) > 1 and (command.source.record or command.source.latency):
-        raise ValueError(f"--record and --latency write one file; the scene has {len(found)} live sources")
+    if len(found) > 1 and command.source.record:
+        raise ValueError(f"--record writes one file; the scene has {len(found)} live sources")
     return list(found.items())

@@ -79,8 +79,6 @@ class LiveCommand:
         "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)"] = None
     record: Annotated[str | None, LIVE.rare, Option(metavar="FILE.npz"),
         "write what came as an AMASS pose file at the end"] = None
-    latency: Annotated[str | None, LIVE.rare, Option(metavar="FILE.csv"),
-        "write when each pose was sent, received, applied, drawn"] = None
 
 
 @dataclass(frozen=True)
