@@ -74,8 +74,6 @@ class RenderCommand:
     body: Annotated[arguments.BodyOption, WHO.rare] = None
     hands: Annotated[arguments.HandsOption, WHO.rare] = "file"
     ground: Annotated[arguments.GroundOption, WHO.rare] = "auto"
-    encoder: Annotated[str, FILM.rare, Option(metavar="auto|software|NAME"),
-        "of .mp4: auto takes the GPU's if it really encodes a frame, else x264"] = "auto"
     resume: Annotated[bool, FILM.rare, "go on with the parts that an earlier run of this film left"] = False
     part: Annotated[tuple[int, int] | None, FILM.rare, Option(metavar="K/N", parse=arguments.parse_share),
         "draw only the Kth of N shares of the film; --resume then joins them"] = None

@@ -92,7 +92,7 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
     detail = detail_by_size(stage, fit, start, stop, rung.level) if stage.scene.level_by_size else None
     shot = Shot(
         stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, rung, detail,
-        command.encoder, "good" if command.share is not None else command.quality, command.context, command.gpu,
+        "good" if command.share is not None else command.quality, command.context, command.gpu,
     )  # fmt: skip
     shared = bool(command.resume or command.part or command.workers)
     if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
@@ -211,15 +211,6 @@ def film_at_once(command: RenderCommand, shot: Shot, stage: Stage, context: Cont
 def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
     """Draw the parts that are missing, here or on a cluster, and join them when all are there."""
     path = Path(command.output)
-    kind = film_kind(path)
-    tried: list[str] = []
-    # chosen once, or two machines might choose differently
-    if kind in VIDEO:
-        from player.film.encoder import chosen_encoder
-
-        alpha = shot.transparent and kind != ".mp4"
-        encoder, tried = chosen_encoder(kind, shot.encoder, shot.size, alpha=alpha)
-        shot = replace(shot, encoder=encoder.name)
     shot = replace(shot, scene=with_whole_paths(shot.scene))
     parts = Parts(path, shot.start, shot.stop, shot.identity())
     parts.begin(resume=command.resume or command.part is not None)

@@ -44,7 +44,6 @@ class Shot:
     rung: Rung = FULL
     # the level of detail of each avatar, where they differ: by their sizes in the film
     detail: tuple[int, ...] | None = None
-    encoder: str = "auto"
     quality: str = "good"
     context: str = "auto"
     gpu: int | str | None = None
@@ -73,7 +72,7 @@ class Shot:
             "hold": self.hold,
             "detail": self.detail,
             "rung": [self.rung.level, self.rung.halvings, self.rung.joints],
-            "encoder": f"{self.encoder} of PyAV {av.__version__}",
+            "encoder": f"PyAV {av.__version__}",
             "quality": self.quality,
         }
 
@@ -145,7 +144,7 @@ class ShotRenderer:
         """Draw these frames into a film, or into pieces of one; the film, written."""
         shot = self.shot
         with deferred_stop(patience=0) as stop, Film(
-            path, shot.rate, transparent=shot.transparent, encoder=shot.encoder, quality=shot.quality, pieces=pieces
+            path, shot.rate, transparent=shot.transparent, quality=shot.quality, pieces=pieces
         ) as film:  # fmt: skip
             for frame in frames:
                 canvas = film.canvas(shot.size)

@@ -134,6 +134,6 @@ def test_a_picture_says_which_frame_it_shows(avatar_path, tmp_path, capsys):
 
 
 def test_the_size_that_is_said_is_the_one_that_is_written(avatar_path, tmp_path, capsys):
-    base = [avatar_path, "--motion", "walking", "--frames", "0:1", "--size", "33x41", "--encoder", "software"]
+    base = [avatar_path, "--motion", "walking", "--frames", "0:1", "--size", "33x41"]
     render_main([*base, "-o", str(tmp_path / "a.mp4")])
     assert "a.mp4: 1 frame, 34x42" in capsys.readouterr().out

@@ -101,7 +101,7 @@ def test_an_order_names_all_its_files_and_changes_with_each(tiny_path, tmp_path)
     camera = tmp_path / "camera.json"
     write_camera(camera, orbit_camera((0, 0.9, 0), 3.0, 0.5, 0.1, (40, 48)))
     scene = Scene((SceneAvatar(tiny_path, "walking"),), cameras=(SceneCamera("file", str(camera)),))
-    shot = Shot(scene, 0, 10, (40, 48), 30.0, None, encoder="libx264")
+    shot = Shot(scene, 0, 10, (40, 48), 30.0, None)
     assert shot.files() == sorted([tiny_path, str(camera)])
     before = Parts(tmp_path / "a.mp4", 0, 10, shot.identity())
     before.begin(resume=False)
