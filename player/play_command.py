@@ -111,7 +111,7 @@ class PlayCommand:
         if self.scene and (given or (self.hands, self.ground) != ("file", "auto")):
             raise ValueError("--motion, --live, --at, --body, --hands and --ground are in the scene file")
         if live is None and self.scene is None and self.source != LiveCommand():
-            raise ValueError("--smooth, --buffer, --calibrate and --record go with --live")
+            raise ValueError("--smooth, --calibrate and --record go with --live")
         if live is not None and (self.motion or self.capture):
             raise ValueError("give --motion or --capture or --live")
         count = len(self.people)

@@ -73,7 +73,7 @@ class LivePlayback:
     def poses(self) -> list[Pose]:
         """A pose for each avatar. Paused or silent, the last good one."""
         now = self.clock()
-        found = self.inbox.sample(now) if self.playing else None
+        found = self.inbox.sample() if self.playing else None
         if found is not None:
             frame, pose = found
             self.latency.applied(frame, now)

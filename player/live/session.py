@@ -27,7 +27,7 @@ def live_session(address: Address, options: LiveCommand, avatars: Sequence[Avata
         if options.record:
             take = Take(options.record)
             ending.callback(_write_take, take)
-        inbox = Inbox(address.kind, delay=options.buffer, take=take)
+        inbox = Inbox(address.kind, take=take)
         listener = listen(address, inbox)
         ending.callback(listener.close)
         playback = LivePlayback(

@@ -361,7 +361,7 @@ def test_pause_holds_a_pose_and_t_takes_the_t_pose(avatar_path, tmp_path, capsys
 
 
 @pytest.mark.parametrize("words", [
-    "--record a.npz", "--smooth", "--live vmc:1 --motion walking", "--live x:1", "--live vmc:1 --buffer 5000",
+    "--record a.npz", "--smooth", "--live vmc:1 --motion walking", "--live x:1",
     "--capture c --live vmc:1", "--motion walking --motion walking", "--at 1,2", "--at 1,2,x", "--at 0,0,0 --at 1,0,0",
 ])  # fmt: skip
 def test_options_of_play_that_do_not_fit_are_refused(avatar_path, words):
