@@ -3,7 +3,7 @@ help over the picture and in `selfscan play --help`, the tooltips of buttons, an
 docs/posing.md (experiments/key_docs.py).
 
 An `Action` is one thing that keys do; a button that does the same is made from it. Actions are grouped by when their
-keys hold; the groups of a mode (first person, posing) go before the others.
+keys hold; those of posing go before the others.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from player.window.posing import PoseEdit
     from player.window.timeline import Timeline
 
-Walk = tuple[int, int, int]  # right, up, ahead
 When = Callable[["WindowParts"], bool]
 
 
@@ -23,20 +22,15 @@ def _always(_parts: "WindowParts") -> bool:
     return True
 
 
-def _nothing(_parts: "WindowParts") -> None:
-    """Of keys that are held down."""
-
-
 @dataclass(frozen=True)
 class Action:
     """What keys do: `means` says it in the imperative, small letters. Keys are named as in player/window/keyboard.py,
-    with ctrl+ and shift+ before them. `walk` is where a key takes the camera while it is held down."""
+    with ctrl+ and shift+ before them."""
 
     means: str
     keys: tuple[str, ...]
-    do: Callable[["WindowParts"], object] = _nothing
+    do: Callable[["WindowParts"], object]
     when: When = _always
-    walk: Walk | None = None
 
     @property
     def shown_keys(self) -> tuple[str, ...]:
@@ -72,7 +66,7 @@ def toggle_follow(parts: "WindowParts") -> None:
 
 
 def next_camera(parts: "WindowParts") -> None:
-    parts.viewpoint.cameras.next(parts.viewpoint.camera())
+    parts.viewpoint.cameras.next()
 
 
 def toggle_panels(parts: "WindowParts") -> None:
@@ -149,13 +143,6 @@ PANELS = Action("show or hide the panels", ("g",), toggle_panels)
 HELP = Action("show or hide this list of keys", ("h", "f1"), toggle_help)
 QUIT = Action("quit", ("q", "escape"), lambda parts: parts.close())
 
-AHEAD = Action("go ahead", ("w",), walk=(0, 0, 1))
-BACK = Action("go back", ("s",), walk=(0, 0, -1))
-LEFT = Action("go left", ("a",), walk=(-1, 0, 0))
-RIGHT = Action("go right", ("d",), walk=(1, 0, 0))
-UP = Action("go up", ("e",), walk=(0, 1, 0))
-DOWN = Action("go down", ("q",), walk=(0, -1, 0))
-
 UNDO = Action("undo (500 steps)", ("ctrl+z",), posed(lambda edit: edit.undo()))
 REDO = Action("redo", ("ctrl+shift+z", "ctrl+y"), posed(lambda edit: edit.redo()))
 COPY_LIMB = Action("copy the limb of the selected joint", ("ctrl+c",), posed(lambda edit: edit.copy_limb()))
@@ -172,9 +159,6 @@ GIVE_UP = Action("give up the drag", ("escape",), posed(lambda edit: edit.tool.c
 CLOSE_HELP = Action("close the list of keys", ("escape",), toggle_help, when=lambda parts: parts.state.layout.help_on)
 
 VIDEO = KeyGroup("Source video", (WIPE_LEFT, WIPE_RIGHT), lambda parts: parts.wipe is not None)
-FIRST_PERSON = KeyGroup(
-    "First person", (AHEAD, BACK, LEFT, RIGHT, UP, DOWN), lambda parts: parts.viewpoint.cameras.kind == "walk"
-)
 POSING = KeyGroup(
     "Posing by hand",
     (UNDO, REDO, COPY_LIMB, COPY_POSE, PASTE, PASTE_MIRRORED, MIRROR, TO_GROUND, GIVE_UP),
@@ -193,15 +177,12 @@ GROUPS = (
     KeyGroup("Window", (SCREENSHOT, FILM, PANELS, HELP, CLOSE_HELP, QUIT)),
     VIDEO,
     KeyGroup("Live", (T_POSE,), lambda parts: bool(parts.state.playback.live)),
-    FIRST_PERSON,
     POSING,
 )  # fmt: skip
-# whose keys mean something else in the other groups
-MODES = (POSING, FIRST_PERSON)
 
 # what the mouse does, and what it does with a source video
 MOUSE = (
-    ("drag", "turn the camera; in first person, look around"),
+    ("drag", "turn the camera"),
     ("right or middle drag", "shift the camera"),
     ("wheel", "come nearer, go farther"),
     ("click", "select the avatar and the joint there; beside it, no joint"),
@@ -211,6 +192,6 @@ MOUSE_ON_VIDEO = (("drag the yellow line", "move the wipe between video and avat
 
 def found(key: str, parts: "WindowParts") -> Action | None:
     """What a key (with its modifiers) does now; None: nothing."""
-    groups = [group for group in (*MODES, *GROUPS) if group.when(parts)]
+    groups = [group for group in (POSING, *GROUPS) if group.when(parts)]
     actions = [action for group in groups for action in group.actions if key in action.keys and action.when(parts)]
     return actions[0] if actions else None

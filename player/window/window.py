@@ -151,7 +151,6 @@ class Window:
         self._moved += dt
         self.parts.state.playback.advance(dt)
         self.parts.viewpoint.cameras.advance(dt)
-        self.keyboard.advance(dt)
 
     def draw(self, *, keep: bool = False) -> None:
         """One frame; `keep` reads it back. A minimised window (0 x 0) is not drawn."""
@@ -257,7 +256,6 @@ class Window:
             or parts.prices.wanted
             or parts.viewpoint.cameras.kind == "turntable"
             or parts.look.renderer.moves
-            or self.keyboard.carries
         )
 
     def close(self) -> None:

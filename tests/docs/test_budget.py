@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 11_830,
     "train": 5_693,
     "bake": 4_599,
-    "player": 18_252,
+    "player": 18_169,
     "shaders": 1_036,
     "synth": 2_688,
     "bench": 5_853,
     "selfscan": 432,
-    "tests": 35_678,
+    "tests": 35_657,
 }
 
 

@@ -98,7 +98,7 @@ def test_lists_open_over_the_picture_and_choose(window):
     run(window, "press:camera wait")
     x, y = window.panels.places["camera"]
     run(window, f"click:{x}:{y + 46} wait")
-    assert window.parts.viewpoint.cameras.kind == "walk"
+    assert window.parts.viewpoint.cameras.kind == "turntable"
 
 
 def test_a_place_is_typed_and_the_avatar_goes_there(window):

@@ -8,7 +8,6 @@ from imgui_bundle import imgui
 from command.progress import plural
 from player.live.latency import SPANS
 from player.live.playback import LivePlayback
-from player.scene.cameras import NAMES
 from player.window import actions
 from player.window.panels.effects_panel import effects_panel
 from player.window.panels.widgets import Widgets, tip_of
@@ -87,17 +86,13 @@ def camera_panel(ui: Widgets, parts: WindowParts) -> None:
     viewpoint = parts.viewpoint
     cameras, kinds = viewpoint.cameras, viewpoint.cameras.kinds
     tip = "What the picture is seen through. Key: c takes the next."
-    chosen = ui.choice("camera", kinds.index(cameras.kind), [NAMES.get(kind, kind) for kind in kinds], tip)
+    chosen = ui.choice("camera", kinds.index(cameras.kind), kinds, tip)
     if chosen is not None:
-        cameras.choose(kinds[chosen], viewpoint.camera())
+        cameras.kind = kinds[chosen]
     if cameras.kind in ("orbit", "turntable"):
         ui.action("Reset", actions.RESET_CAMERA, parts, name="reset camera")
         viewpoint.follow = ui.checkbox(
             "follow the avatar", viewpoint.follow, tip_of(actions.FOLLOW), name="follow", beside=True
-        )
-    elif cameras.kind == "walk":
-        imgui.text_disabled(
-            "\n".join(f"{action.shown_keys[0]}  {action.means}" for action in actions.FIRST_PERSON.actions)
         )
     if parts.wipe is not None and viewpoint.shows_video:
         _wipe(ui, parts.wipe, viewpoint)
