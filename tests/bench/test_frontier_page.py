@@ -37,7 +37,7 @@ def measured(context):
     for name, picture in drawn.items():
         scores = compared([drawn["field"]], [picture], [crop], [picture.max(-1) > 0])
         ms = np.linspace(0.98, 1.02, 9) * times[name]
-        rows.append(row_of(name, ms, 1_000_000) | scores | {"parts": {"head": {"flip": 0.01}}, "flicker": 0.1})
+        rows.append(row_of(name, ms, 1_000_000) | scores | {"parts": {"head": {"flip": 0.01}}})
         rows[-1]["against_baked"] = compared([drawn[RUNGS[0].name]], [picture], [crop], [picture.max(-1) > 0])
     mark_dominated(rows)
     mark_dominated(rows, None, "against_baked")

@@ -18,9 +18,9 @@ BUDGET = {
     "player": 18_169,
     "shaders": 1_036,
     "synth": 2_688,
-    "bench": 5_853,
+    "bench": 5_795,
     "selfscan": 432,
-    "tests": 35_657,
+    "tests": 35_645,
 }
 
 
