@@ -9,11 +9,11 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar, Level
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
+from bake.promises import baked_facts, recorded_loss
 from bench.inspect import mesh_facts
 from bench.inspect.colors import DIVERGING, Ramp
 from bench.inspect.inspection import Inspector
 from bench.inspect.page import PageSection, flattened, picture
-from bench.ladder.remeasure import baked_facts, recorded_facts
 from bench.score.surface_distance import check_same_unit
 from bench.score.true_mesh import read_true_mesh
 from command.errors import AssetError
@@ -63,8 +63,7 @@ def truth_distance(inspector: Inspector) -> PageSection | None:
 
 def provenance(inspector: Inspector) -> list[PageSection]:
     """What baking and training wrote into the file."""
-    baked, recorded = baked_facts(inspector.avatar), recorded_facts(inspector.avatar)
-    paper = recorded["against_field"].get("paper_db")
+    baked, paper = baked_facts(inspector.avatar), recorded_loss(inspector.avatar).get("paper_db")
     if isinstance(paper, int | float):
         what = "baked paper mode against the paper field, as baking measured it"
         inspector.check(what, f"{paper:.2f} dB", f"at least {PAPER_DB:g} dB", paper >= PAPER_DB)

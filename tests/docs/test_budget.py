@@ -14,13 +14,13 @@ BUDGET = {
     "geometry": 1_728,
     "capture": 11_830,
     "train": 5_693,
-    "bake": 4_599,
+    "bake": 4_612,
     "player": 18_169,
     "shaders": 1_036,
     "synth": 2_688,
-    "bench": 5_795,
+    "bench": 5_673,
     "selfscan": 432,
-    "tests": 35_645,
+    "tests": 35_597,
 }
 
 
