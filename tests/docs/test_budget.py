@@ -18,9 +18,9 @@ BUDGET = {
     "player": 18_169,
     "shaders": 1_036,
     "synth": 2_688,
-    "bench": 5_673,
+    "bench": 5_533,
     "selfscan": 432,
-    "tests": 35_597,
+    "tests": 35_542,
 }
 
 
