@@ -92,8 +92,8 @@ class MeshPlotter:
 
 class Inspector:
     """One avatar, drawn topic by topic, and what is found: the page shows checks and sections, the JSON holds facts and
-    checks. `from_field`: signed millimetres of each triangle to the run's field, where a run was given. `size` is the side
-    of the large views in pixels."""
+    checks. `from_field`: signed millimetres of each triangle to the run's field, where a run was given. `size`
+    is the side of the large views in pixels."""
 
     def __init__(
         self, avatar: Avatar, path: Path, context: Context, from_field: Float[Array, "faces"] | None, size: int
