@@ -37,7 +37,6 @@ class BakeOptions:
     ] = 4
     image: Annotated[int, Hidden(), "pixels per side of the pictures that are compared"] = 512
     seed: Annotated[int, Hidden(), "of all random numbers"] = 0
-    truth_poses: Annotated[int, Hidden(), "of each held-out set, to choose the default view by, and to judge it"] = 6
 
     def __post_init__(self):
         if self.texture & (self.texture - 1):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from avatar.gltf.avatar_file import read_avatar
-from bake.truth import decibels_by_region, mode_errors, read_true_views
+from bench.score.view_modes import decibels_by_region, mode_errors
+from capture.held_out import read_held_out, some_poses
 from selfscan.__main__ import main
 
 pytestmark = pytest.mark.slow
@@ -34,7 +35,7 @@ def test_textures_from_the_videos_are_nearer_to_the_true_pictures(out, context):
     # beside the videos' textures the field's picture has half the texels a side
     assert same["paper_db"] - 3 < against["paper_db"] < same["paper_db"] + 0.1
     assert np.array_equal(avatars["a"].levels[0].positions, avatars["videos"].levels[0].positions)
-    views = read_true_views(out / "capture", 3).sets["novel_view"]
+    views = some_poses(read_held_out(out / "capture", "novel_view"), 3)
     field, videos = (
         decibels_by_region(mode_errors(context, avatar, views, ["off"])["off"]) for avatar in avatars.values()
     )

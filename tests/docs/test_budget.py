@@ -12,15 +12,15 @@ BUDGET = {
     "command": 1_280,
     "avatar": 8_439,
     "geometry": 1_728,
-    "capture": 11_830,
+    "capture": 11_839,
     "train": 5_693,
-    "bake": 4_612,
+    "bake": 4_420,
     "player": 18_169,
     "shaders": 1_036,
     "synth": 2_688,
-    "bench": 5_533,
+    "bench": 5_596,
     "selfscan": 432,
-    "tests": 35_542,
+    "tests": 35_461,
 }
 
 
