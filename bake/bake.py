@@ -105,7 +105,6 @@ def bake_run(
     facts: Facts = {
         "faces": options.faces,
         "texture": options.texture,
-        "quality": options.quality,
         "seed": options.seed,
         "surface": surface_facts(extraction),
         "template_kept": given_up,
@@ -320,8 +319,7 @@ def bake_levels(
     def distilled_finest() -> Distilled:
         surface, data, _ = surfaces[0]
         points = surface_points(field, surface, data, options)
-        high, seed = options.quality == "high", options.seed
-        return distil(field.color, points, high=high, seed=seed, steps=options.steps, report=clock.report)
+        return distil(field.color, points, seed=options.seed, steps=options.steps, report=clock.report)
 
     def leveled(one: tuple[LayeredMesh, TransferredData, int]) -> BakedLevel:
         surface, data, size = one

@@ -69,6 +69,6 @@ def missed_promises(facts: Facts, options: BakeOptions, size: int) -> list[str]:
 
 
 def file_limit(options: BakeOptions) -> float:
-    """Bytes that the file may have: more where more texels, triangles or features were asked for."""
+    """Bytes that the file may have: more where more texels or triangles were asked for."""
     more = max(1.0, (options.texture / 2048) ** 2, options.faces / 30_000)
-    return FILE_SIZE * more * (4 / 3 if options.quality == "high" else 1.0)
+    return FILE_SIZE * more

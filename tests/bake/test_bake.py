@@ -59,7 +59,7 @@ def test_levels_go_down_to_a_thousand_triangles_with_atlases_of_their_own():
 @pytest.fixture(scope="module")
 def sheen(sheen_run, small, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sheen")
-    bake_run(sheen_run, folder / "sheen.glb", replace(small, quality="high"), lambda line: None)
+    bake_run(sheen_run, folder / "sheen.glb", small, lambda line: None)
     return folder, read_avatar(folder / "sheen.glb")
 
 
@@ -74,14 +74,6 @@ def test_sheen_ships_a_view_mode_that_is_nearer_to_the_cone_field(sheen):
         apart = facts["against_field"][group]["cone_db"]
         assert apart[avatar.default_view] > apart["off"] and facts["against_field"][group]["paper_db"] > 24
     assert (folder / "sheen.onnx").exists() == (avatar.network is not None)
-
-
-@pytest.mark.slow
-def test_high_quality_holds_eight_features_and_the_large_network(sheen):
-    folder, avatar = sheen
-    assert avatar.provenance["baked"]["quality"] == "high"
-    assert avatar.levels[0].features.shape == (128, 128, 8) and avatar.linear.shape == (8, 3, 3)
-    assert avatar.network is not None and [w.shape for w, _ in avatar.network.layers] == [(16, 12), (16, 16), (3, 16)]
 
 
 def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small, monkeypatch):

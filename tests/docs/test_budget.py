@@ -10,17 +10,17 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_391,
     "command": 1_280,
-    "avatar": 8_439,
+    "avatar": 8_388,
     "geometry": 1_728,
     "capture": 11_839,
     "train": 5_693,
-    "bake": 4_420,
-    "player": 18_169,
-    "shaders": 1_036,
+    "bake": 4_403,
+    "player": 18_138,
+    "shaders": 987,
     "synth": 2_688,
     "bench": 5_596,
     "selfscan": 432,
-    "tests": 35_461,
+    "tests": 35_373,
 }
 
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tiny_avatar import tiny_avatar, tiny_high_avatar
+from tiny_avatar import tiny_avatar
 
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.clip import Clip
@@ -43,7 +43,6 @@ def test_an_avatar_has_a_program_for_each_view_mode_it_holds():
     bare = tiny_avatar()
     level = dataclasses.replace(bare.levels[0], features=None)
     assert list(programs(dataclasses.replace(bare, levels=(level,), default_view="off"))) == ["off"]
-    assert "more_features" in programs(tiny_high_avatar())["network"]["fragment"]
 
 
 def test_numbers_come_back_within_a_step():
