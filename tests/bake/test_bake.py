@@ -69,7 +69,7 @@ def test_sheen_ships_a_view_mode_that_is_nearer_to_the_cone_field(sheen):
     assert avatar.default_view in ("network", "linear")
     facts = avatar.provenance["baked"]
     scores = facts["against_field"]["cone_db"]
-    assert scores[avatar.default_view] >= scores["off"] + 1 and set(scores) >= {"off", "vertex", "linear"}
+    assert scores[avatar.default_view] >= scores["off"] + 0.5 and set(scores) >= {"off", "vertex", "linear"}
     for group in ("novel_view", "novel_pose"):
         apart = facts["against_field"][group]["cone_db"]
         assert apart[avatar.default_view] > apart["off"] and facts["against_field"][group]["paper_db"] > 24
