@@ -86,8 +86,6 @@ class PlayCommand:
     budget: Annotated[float | None, TIME, Option(metavar="8ms", parse=parse_budget),
         "view mode and level are the most exact whose frames take no longer on this machine, and follow how "
         "busy it is"] = None
-    level_by_size: Annotated[bool, TIME.rare,
-        "coarser levels of detail for avatars that are small on the screen"] = False
     gui: Annotated[bool, MACHINE.rare, Option(("--no-gui",)),
         "panels are hidden at first: keys and a line of text"] = True
     platform: Annotated[str, MACHINE.rare, OneOf(("auto", "null")),
@@ -153,7 +151,7 @@ def scene_of(command: PlayCommand) -> Scene:
     if command.capture:
         cameras.insert(0, SceneCamera("capture", command.capture, command.part))
     scene, effects = replace(scene, cameras=tuple(cameras)), arguments.with_effects(scene.effects, command.effects)
-    return arguments.with_options(scene, effects, command.size, command.background, command.level_by_size)
+    return arguments.with_options(scene, effects, command.size, command.background)
 
 
 def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:

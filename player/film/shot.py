@@ -42,8 +42,6 @@ class Shot:
     hold: int | None = None  # the frame that a turntable holds still
     # what is drawn of the avatars: level of detail, textures, joints
     rung: Rung = FULL
-    # the level of detail of each avatar, where they differ: by their sizes in the film
-    detail: tuple[int, ...] | None = None
     quality: str = "good"
     context: str = "auto"
     gpu: int | str | None = None
@@ -70,7 +68,6 @@ class Shot:
             "size": self.size,
             "rate": self.rate,
             "hold": self.hold,
-            "detail": self.detail,
             "rung": [self.rung.level, self.rung.halvings, self.rung.joints],
             "encoder": f"PyAV {av.__version__}",
             "quality": self.quality,
@@ -88,7 +85,7 @@ class ShotRenderer:
     def __init__(self, shot: Shot, stage: Stage | None = None, context: Context | None = None):
         self.shot = shot
         if stage is None:
-            stage = Stage(shot.scene, max((shot.rung.level, *(shot.detail or ()))) + 1)
+            stage = Stage(shot.scene, shot.rung.level + 1)
             if shot.hold is not None:
                 stage.hold(shot.hold)
         self.stage = stage
@@ -102,7 +99,7 @@ class ShotRenderer:
             with deferred_stop(patience=0) as stop:
                 self.renderer = Renderer(
                     self.context, shot.rung.prepared(stage.avatars), shot.size, effects=shot.scene.effects,
-                    background=shot.scene.background, level=shot.rung.level if shot.detail is None else shot.detail,
+                    background=shot.scene.background, level=shot.rung.level,
                 )  # fmt: skip
             stop.check()
         except ValueError as error:

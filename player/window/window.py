@@ -58,8 +58,6 @@ class Window:
         self.parts.state.layout.panels_on = panels
         self.panels = Panels(self.parts)
         show.fit_orbit(self.parts.state.layout.area[2:])
-        if show.level_by_size:
-            self.parts.look.follow_size(True)
         # seconds that have passed for loose parts: also while the timeline stands
         self._moved = 0.0
         self._last_tick = clock()

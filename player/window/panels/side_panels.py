@@ -140,10 +140,6 @@ def view_panel(ui: Widgets, parts: WindowParts) -> None:
         chosen = ui.choice("detail", min(look.level, levels - 1), names, "Level of detail: fewer triangles are faster.")
         if chosen is not None:
             look.change(level=chosen)
-        tip = "Each avatar gets a coarser level where it is small on the screen; the level above is the finest."
-        follows = ui.checkbox("by size", look.by_size, tip, name="detail by size", beside=True)
-        if follows != look.by_size:
-            look.follow_size(follows)
     if look.background.kind == "color":
         color = ui.color("background", look.background.color[:3], "Colour behind the avatars; click the patch.")
         if color is not None:
