@@ -1,11 +1,10 @@
-"""A posing session: the present pose, copy and paste, what is pinned.
+"""A posing session: the present pose, what is pinned.
 
-Every change is a step of the session's history (player/pose/history.py). Copying is no change: it is not undone and
-does not make a session unsaved. Which joint is selected is the window's business.
+Every change is a step of the session's history (player/pose/history.py). Which joint is selected is the window's
+business.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from player.pose.fingers import HandShape, Side, with_finger, with_hand
 from player.pose.history import History, Pose
 from player.pose.ik import LIMBS, reach_for
 from player.pose.library import read_pose, write_pose
-from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
+from player.pose.mirror import mirrored_in_place, onto_other_side
 
 
 class Pin(NamedTuple):
@@ -28,14 +27,6 @@ class Pin(NamedTuple):
 
     place: Float[Array, "3"]
     turn: Float[Array, "3 3"]  # world_from_joint
-
-
-@dataclass(frozen=True, eq=False)
-class Copied:
-    """Joints on the clipboard and their vectors."""
-
-    joints: tuple[int, ...]
-    axis_angle: Float[Array, "52 3"]
 
 
 class PoseSession:
@@ -56,7 +47,6 @@ class PoseSession:
         self.history = History(Pose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root))
         self.limited = True
         self.pinned: dict[str, Pin] = {}  # limbs whose ends are held in the world
-        self.copied: Copied | None = None
 
     # what there is
 
@@ -179,28 +169,6 @@ class PoseSession:
         pose = np.array(self.pose.axis_angle)
         pose[list(joints)] = 0.0
         self.put("reset", pose, hold=False)
-
-    # copy and paste
-
-    def copy(self, joints: Sequence[int]) -> None:
-        self.copied = Copied(tuple(joints), self.pose.axis_angle)
-
-    def paste(self, *, mirrored: bool = False) -> None:
-        """What was copied onto the same joints, or mirrored onto the other side's. Nothing copied: nothing happens.
-
-        The body's place is not pasted: a copied pose is taken where the avatar stands.
-        """
-        if self.copied is None:
-            return
-        joints = list(self.copied.joints)
-        pose = np.array(self.pose.axis_angle)
-        if mirrored:
-            whole = mirrored_in_place(self.copied.axis_angle)
-            onto = PARTNER[joints]
-            pose[onto] = whole[onto]
-        else:
-            pose[joints] = self.copied.axis_angle[joints]
-        self.put("paste", pose, hold=False)
 
     # undo
 

@@ -145,14 +145,6 @@ QUIT = Action("quit", ("q", "escape"), lambda parts: parts.close())
 
 UNDO = Action("undo (500 steps)", ("ctrl+z",), posed(lambda edit: edit.undo()))
 REDO = Action("redo", ("ctrl+shift+z", "ctrl+y"), posed(lambda edit: edit.redo()))
-COPY_LIMB = Action("copy the limb of the selected joint", ("ctrl+c",), posed(lambda edit: edit.copy_limb()))
-COPY_POSE = Action("copy the whole pose", ("ctrl+a",), posed(lambda edit: edit.copy_pose()))
-PASTE = Action("paste", ("ctrl+v",), posed(lambda edit: edit.session.paste()))
-PASTE_MIRRORED = Action(
-    "paste mirrored (the left arm onto the right)",
-    ("ctrl+shift+v",),
-    posed(lambda edit: edit.session.paste(mirrored=True)),
-)
 MIRROR = Action("mirror the pose; place and heading stay", ("m",), posed(lambda edit: edit.session.mirror()))
 TO_GROUND = Action("set the body on the ground", ("n",), posed(lambda edit: edit.to_ground()))
 GIVE_UP = Action("give up the drag", ("escape",), posed(lambda edit: edit.tool.cancel()), when=is_dragging)
@@ -161,7 +153,7 @@ CLOSE_HELP = Action("close the list of keys", ("escape",), toggle_help, when=lam
 VIDEO = KeyGroup("Source video", (WIPE_LEFT, WIPE_RIGHT), lambda parts: parts.wipe is not None)
 POSING = KeyGroup(
     "Posing by hand",
-    (UNDO, REDO, COPY_LIMB, COPY_POSE, PASTE, PASTE_MIRRORED, MIRROR, TO_GROUND, GIVE_UP),
+    (UNDO, REDO, MIRROR, TO_GROUND, GIVE_UP),
     lambda parts: parts.posing.edit is not None,
 )  # fmt: skip
 GROUPS = (

@@ -1,26 +1,22 @@
 """Posing by hand in the window: one avatar leaves its motion, and keys and panels change its pose.
 
 The pose itself and undo are the session's (player/pose/session.py), the mouse is player/window/pose_tool.py.
-Here is what ties them to the window: its messages, files and the library.
+Here is what ties them to the window: its messages and files.
 """
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
 from command.errors import AssetError
 from player.draw.posing import grounded
-from player.pose.library import Library
-from player.pose.mirror import limb_of
+from player.pose.library import builtin_pose
 from player.pose.session import PoseSession
 from player.scene.framing import pelvis_height
 from player.scene.renderer import Pose
 from player.window.pose_tool import PoseTool
 from player.window.recorder import free_name
-from player.window.state import WindowState, joint_name
-
-ALL = tuple(range(52))
+from player.window.state import WindowState
 
 
 class Posing:
@@ -64,9 +60,8 @@ class PoseEdit:
             pelvis_height=pelvis_height(self.avatar),
         )
         self.tool = PoseTool(state, self.session, index)
-        self.library = Library()
-        # what is typed into the panel's fields
-        self.name = self.file = ""
+        # what is typed into the panel's field
+        self.file = ""
         # the pose of which was said that leaving loses it
         self._warned: object = None
 
@@ -83,21 +78,6 @@ class PoseEdit:
         self.tool.cancel()
         label = step()
         self.state.messages.say(f"{word}: {label.replace('_', ' ')}" if label else f"nothing to be {word}")
-
-    def copy_pose(self) -> None:
-        self.copy(ALL, "the whole pose")
-
-    def copy_limb(self) -> None:
-        """Copy the selected joint's limb; of the pelvis, or without a selection, the whole pose."""
-        joint = self.tool.joint
-        if joint:
-            self.copy(limb_of(joint), f"the limb of {joint_name(joint)}")
-        else:
-            self.copy_pose()
-
-    def copy(self, joints: tuple[int, ...], name: str) -> None:
-        self.session.copy(joints)
-        self.state.messages.say(f"copied: {name}")
 
     def to_ground(self) -> None:
         """The body up or down until its lowest point touches the ground."""
@@ -124,16 +104,10 @@ class PoseEdit:
         self.session.load(self.file)
 
     def take(self, name: str) -> None:
-        """A pose of the library."""
-        session, ground = self.session, partial(grounded, self.avatar)
-        pose = self.library.read(name, root=session.pose.root, pelvis_height=session.pelvis_height, ground=ground)
-        session.put(name, pose.axis_angle, pose.root, limited=False, hold=False)
-
-    def keep(self, name: str) -> None:
-        """The present pose into the library."""
-        path = self.library.write(name, self.session.pose, pelvis_height=self.session.pelvis_height)
-        self.state.messages.say(f"{path} written")
-        self.session.history.mark_saved()
+        """A built-in pose, put on the ground where the body stands."""
+        axis_angle = builtin_pose(name)
+        root = grounded(self.avatar, axis_angle, self.session.pose.root)
+        self.session.put(name, axis_angle, root, limited=False, hold=False)
 
     def may_leave(self) -> bool:
         """Whether posing can end; what is not saved is said once and lost the second time."""

@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 11_839,
     "train": 5_693,
     "bake": 4_403,
-    "player": 17_977,
+    "player": 17_805,
     "shaders": 987,
     "synth": 2_688,
     "bench": 5_596,
     "selfscan": 432,
-    "tests": 35_223,
+    "tests": 35_123,
 }
 
 

@@ -185,7 +185,7 @@ def test_hands_feet_body_and_elbows_are_pulled_and_pins_hold(opened):
     assert window.parts.viewpoint.cameras.orbit.azimuth != azimuth and session.pose.same(here)
 
 
-def test_panels_set_angles_hands_mirror_copy_and_take_poses(opened):
+def test_panels_set_angles_hands_mirror_and_take_poses(opened):
     window, edit, session = opened()
     window.parts.state.selection.choose(0, J["left_elbow"])
     run(window, "wait wait")
@@ -202,15 +202,11 @@ def test_panels_set_angles_hands_mirror_copy_and_take_poses(opened):
     pose = session.pose.axis_angle
     press(window, "mirror")
     np.testing.assert_allclose(session.pose.axis_angle, mirrored_in_place(pose), atol=1e-9)
-    press(window, "undo", "copy whole")
+    press(window, "undo")
     press(window, "library", "take T-pose")
     assert np.abs(session.pose.axis_angle).max() == 0
     assert session.pose.root[1] == pytest.approx(pelvis_height(window.parts.state.avatars[0]), abs=1e-6)
-    press(window, "paste")
-    np.testing.assert_allclose(session.pose.axis_angle[1:], pose[1:], atol=1e-9)
-    press(window, "paste mirrored")
-    np.testing.assert_allclose(session.pose.axis_angle, mirrored_in_place(pose), atol=1e-9)
-    press(window, "undo", "undo", "undo", "redo")
+    press(window, "undo", "undo", "redo", "redo")
     assert np.abs(session.pose.axis_angle).max() == 0
     press(window, "limits")
     assert not session.limited
@@ -236,26 +232,6 @@ def test_a_pose_is_asked_for_before_it_is_lost_and_plays_as_a_motion(opened, ava
     run(window, "p")
     assert window.parts.posing.edit is None
     assert np.array_equal(window.parts.posing.poses()[0][0], window.parts.state.playback.poses()[0][0])
-
-
-def test_a_pose_is_kept_in_the_library_and_taken_from_it(opened, tmp_path):
-    window, edit, session = opened()
-    session.set_angle(J["left_shoulder"], 0, 0.6)
-    session.move(session.pose, session.pose.root + [0.05, 0, 0])
-    wanted = session.pose
-    press(window, "name")
-    window.run(["type:Arm_up"])
-    press(window, "keep")
-    kept = tmp_path / "data" / "selfscan" / "poses" / "Arm up.npz"
-    assert kept.is_file() and edit.library.names()[-1] == "Arm up"
-    edit.take("T-pose")
-    assert not session.pose.same(wanted)
-    edit.take("Arm up")
-    assert session.pose.same(wanted)
-    (kept.parent / "broken.npz").write_bytes(b"nothing")
-    before = session.pose
-    edit.tried(lambda: edit.take("broken"))
-    assert session.pose is before and "broken.npz" in window.parts.state.messages.last
 
 
 def test_without_panels_the_keys_pose_one_of_two(opened, avatar_path):

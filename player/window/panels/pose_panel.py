@@ -44,7 +44,7 @@ class PosePanels:
             ("Joint", "The selected joint and its angles.", self._joint),
             ("Hands", "Hand shapes by name, and each finger.", self._hands),
             ("Reach", "How hands and feet are pulled, and which stay where they are.", self._reach),
-            ("Library", "Poses to take, and your own to keep.", self._library),
+            ("Library", "Poses to take.", self._library),
         ):
             if self.ui.section(title, tip):
                 panel(edit)
@@ -73,10 +73,6 @@ class PosePanels:
         ui.action("Redo", actions.REDO, parts, beside=True)
         ui.action("Mirror", actions.MIRROR, parts, beside=True)
         ui.action("To ground", actions.TO_GROUND, parts, name="ground", beside=True)
-        ui.action("Copy pose", actions.COPY_POSE, parts, name="copy whole")
-        if session.copied is not None:
-            ui.action("Paste", actions.PASTE, parts, beside=True)
-            ui.action("Paste mirrored", actions.PASTE_MIRRORED, parts, name="paste mirrored", beside=True)
         tip = "Keep joints within the range of healthy adults."
         session.limited = ui.checkbox("limits", session.limited, tip)
         tip = "On: the rings turn about x, y and z of the world. Off: about the bone's own axes."
@@ -115,12 +111,9 @@ class PosePanels:
                          lambda value, mark: session.set_angle(joint, k, radians(value), drag=mark),
                          name=f"angle {k}")  # fmt: skip
         self._button(edit, "Reset joint", "This joint as in the T-pose.", lambda: session.reset([joint]))
-        self._button(edit, "Copy joint", "Copy this joint alone.", lambda: edit.copy((joint,), joint_name(joint)),
-                     beside=True)  # fmt: skip
         if joint:
             self._button(edit, "Reset limb", "The joint's whole limb as in the T-pose.",
-                         lambda: session.reset(limb_of(joint)))  # fmt: skip
-            ui.action("Copy limb", actions.COPY_LIMB, parts, beside=True)
+                         lambda: session.reset(limb_of(joint)), beside=True)  # fmt: skip
         if PARTNER[joint] != joint:
             self._button(edit, "Other side too", "The other side's limb does the same, mirrored.",
                          lambda: session.to_other_side(limb_of(joint)), name="other side", beside=True)  # fmt: skip
@@ -173,21 +166,14 @@ class PosePanels:
                 edit.session.pin(limb, on)
 
     def _library(self, edit: PoseEdit) -> None:
-        """Poses to take; the present pose to keep under a name."""
-        ui, library = self.ui, edit.library
+        """Built-in poses to take."""
 
         def poses() -> None:
-            for name in library.names():
-                if ui.row(name, f"Take the pose {name}, set on the ground.", name=f"take {name}"):
-                    edit.tried(lambda name=name: edit.take(name))
-                    edit.name = "" if name in BUILTIN else name
+            for name in BUILTIN:
+                if self.ui.row(name, f"Take the pose {name}, set on the ground.", name=f"take {name}"):
+                    edit.take(name)
 
-        ui.long_choice("library", "take a pose", "Built-in poses and your own.", poses)
-        edit.name = ui.field("name", edit.name, "The name under which the pose is kept.")
-        self._button(edit, "Keep", f"Keep the pose in {library.folder}.", lambda: edit.keep(edit.name))
-        if edit.name and edit.name not in BUILTIN and (library.folder / f"{edit.name}.npz").is_file():
-            self._button(edit, "Delete", "Delete this pose from the library.", lambda: library.delete(edit.name),
-                         name="delete pose", beside=True)  # fmt: skip
+        self.ui.long_choice("library", "take a pose", "Built-in poses.", poses)
 
 
 def shown_degrees(angle: float) -> float:

@@ -1,4 +1,4 @@
-"""The session: undo and redo in any order, drags as one step, copy and paste, what counts as saved."""
+"""The session: undo and redo in any order, drags as one step, what counts as saved."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from command.errors import AssetError
 from player.pose.fingers import PRESETS
 from player.pose.history import Pose
 from player.pose.ik import LIMBS
-from player.pose.mirror import PARTNER, hand_joints, limb_of
+from player.pose.mirror import limb_of
 from player.pose.session import PoseSession, turned
 
 SOME = settings(max_examples=12, deadline=None, derandomize=True)
@@ -49,8 +49,7 @@ def act(s, rng):
     elif kind == 5:
         s.mirror()
     elif kind == 6:
-        s.copy(limb_of(joint))
-        s.paste(mirrored=bool(rng.integers(0, 2)))
+        s.to_other_side(limb_of(joint))
     else:
         s.move(s.pose, s.pose.root + rng.normal(size=3) * 0.05)
 
@@ -119,27 +118,6 @@ def test_limits_touch_only_what_a_change_touches_and_can_be_turned_off():
     assert joint_angles(s.pose.axis_angle)[J["left_knee"], 0] == pytest.approx(-1.0)
     with pytest.raises(ValueError, match="not finite"):
         s.put("x", np.full((52, 3), np.nan))
-
-
-def test_copy_and_paste_of_a_joint_a_limb_a_hand_and_the_whole_to_either_side():
-    rng = np.random.default_rng(1)
-    source = rng.normal(size=(52, 3)) * 0.1
-    source[0] = 0
-    for joints in ([J["left_elbow"]], limb_of(J["left_wrist"]), hand_joints("left"), range(52)):
-        for mirrored in (False, True):
-            s = session(axis_angle=source)
-            s.copy(joints)
-            s.limited = False
-            s.put("other", np.zeros((52, 3)))
-            s.paste(mirrored=mirrored)
-            onto = PARTNER[list(joints)] if mirrored else list(joints)
-            wanted = source[list(joints)] * ([1, -1, -1] if mirrored else [1, 1, 1])
-            np.testing.assert_allclose(s.pose.axis_angle[onto], wanted, atol=1e-12)
-            assert not np.delete(s.pose.axis_angle, onto, 0).any()
-            assert s.undo() == "paste" and not s.pose.axis_angle.any()
-    empty = session()
-    empty.paste()
-    assert not empty.history.past
 
 
 def test_limbs_divide_the_body():
