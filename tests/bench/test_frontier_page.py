@@ -196,19 +196,6 @@ def test_rungs_are_compared_with_true_pictures(tab, judged):
     assert page.problems == []
 
 
-def test_wheel_and_double_click_zoom_the_chart(tab):
-    page, path = tab
-    page.open(path, "budget=6")
-    page.ask("document.getElementById('chart').scrollIntoView()")
-    across = "selfscan.chart.view.x1 - selfscan.chart.view.x0"
-    before = page.ask(across)
-    page.ask("""document.querySelector("#chart svg").dispatchEvent(
-      new WheelEvent("wheel", { deltaY: -300, clientX: 300, clientY: 200 }))""")
-    assert page.ask(across) < 0.7 * before
-    page.ask('document.querySelector("#chart svg").dispatchEvent(new MouseEvent("dblclick"))')
-    assert page.ask(across) == pytest.approx(before)
-
-
 def test_a_page_that_would_be_too_large_halves_textures_and_at_last_leaves_the_avatar_out(measured, monkeypatch):
     whole = frontier_page(*measured, RUNGS)
     assert len(whole) < MOST_BYTES and 'id="level0.mesh"' in whole

@@ -18,9 +18,9 @@ BUDGET = {
     "player": 17_805,
     "shaders": 987,
     "synth": 2_688,
-    "bench": 5_596,
+    "bench": 5_567,
     "selfscan": 432,
-    "tests": 35_123,
+    "tests": 35_110,
 }
 
 
