@@ -1,9 +1,12 @@
-"""Poses that ship with the project, and a pose's file.
+"""The pose library: poses that ship with the project, and a folder of the user's own.
 
-Built-in poses are written down as degrees of the joints' named angles (avatar/limits.py) and hand shapes. A file is a
-motion of one frame: `selfscan render AVATAR --motion POSE.npz` plays it.
+The user's poses are one-frame AMASS files in our own world (up_axis "y"), so that they come back to the last bit
+and play like any motion: `selfscan render AVATAR --motion POSE.npz`. Built-in poses are written down as degrees of
+the joints' named angles (avatar/limits.py) and hand shapes; they stand on the ground of whoever takes them.
 """
 
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 from jaxtyping import Float
@@ -18,6 +21,8 @@ from player.pose.fingers import PRESETS, with_hand
 from player.pose.history import Pose
 
 Angles = dict[str, dict[str, float | int]]
+
+LONGEST_NAME = 80
 
 
 def _both(part: str, **angles: float | int) -> Angles:
@@ -96,9 +101,81 @@ def builtin_pose(name: str) -> Float[Array, "52 3"]:
     return with_hand(out, "right", PRESETS[right])
 
 
-def write_pose(path: Path | str, pose: Pose, *, pelvis_height: float | None) -> None:
-    """One pose as a motion of one frame, whole or not at all; z is up, as AMASS and its tools expect."""
-    write_amass(path, Clip(pose.axis_angle[None], pose.root[None], 30.0, (), pelvis_height))
+def user_folder() -> Path:
+    """Where a user's poses are kept: $XDG_DATA_HOME/selfscan/poses, usually ~/.local/share/selfscan/poses."""
+    data = os.environ.get("XDG_DATA_HOME", "")
+    return (Path(data) if os.path.isabs(data) else Path.home() / ".local" / "share") / "selfscan" / "poses"
+
+
+class Library:
+    """Built-in poses and those of a folder, by name. The folder is made when the first pose is saved."""
+
+    def __init__(self, folder: Path | str | None = None):
+        self.folder = Path(folder) if folder is not None else user_folder()
+
+    def names(self) -> list[str]:
+        """The built-in poses, then the user's in alphabetical order; broken files are found when they are read."""
+        own = sorted(
+            (p.stem for p in self.folder.glob("*.npz") if not p.name.startswith(".") and p.is_file()), key=str.casefold
+        )
+        return [*BUILTIN, *(name for name in own if name not in BUILTIN)]
+
+    def read(
+        self,
+        name: str,
+        *,
+        root: Float[Array, "3"],
+        pelvis_height: float | None = None,
+        ground: Callable[[Float[Array, "52 3"], Float[Array, "3"]], Float[Array, "3"]] | None = None,
+    ) -> Pose:
+        """The pose of that name.
+
+        A built-in one stands where `root` is, put on the ground by `ground` (player/draw/posing.py). A user's own
+        comes with the place it was saved at, its height scaled to `pelvis_height`.
+
+        Raises:
+            AssetError: there is none of that name, or its file is damaged.
+        """
+        if name in BUILTIN:
+            axis_angle = builtin_pose(name)
+            return Pose(axis_angle, root if ground is None else ground(axis_angle, root))
+        if name not in self.names():
+            raise AssetError(f"{self.folder}: no pose {name!r}; there are {', '.join(self.names())}")
+        return read_pose(self.folder / f"{name}.npz", pelvis_height=pelvis_height)
+
+    def write(self, name: str, pose: Pose, *, pelvis_height: float | None = None) -> Path:
+        """Keep a pose under a name, in place of the user's pose that had it.
+
+        Raises:
+            ValueError: the name is a built-in pose's or cannot be a file's.
+            AssetError: the folder cannot be written.
+        """
+        check_name(name)
+        path = self.folder / f"{name}.npz"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise AssetError(f"{self.folder}: cannot be made: {error.strerror}") from None
+        write_pose(path, pose, pelvis_height=pelvis_height, up="y")
+        return path
+
+    def delete(self, name: str) -> None:
+        """Remove a pose of the user's own.
+
+        Raises:
+            ValueError: it is built in, or there is none.
+        """
+        check_name(name)
+        path = self.folder / f"{name}.npz"
+        if not path.is_file():
+            raise ValueError(f"no pose {name!r} in {self.folder}")
+        path.unlink()
+
+
+def write_pose(path: Path | str, pose: Pose, *, pelvis_height: float | None, up: str = "z") -> None:
+    """One pose as a motion of one frame, whole or not at all. up="z" is what AMASS and its tools expect, and is as
+    exact as a quarter turn in double precision; up="y" keeps our world and comes back to the last bit."""
+    write_amass(path, Clip(pose.axis_angle[None], pose.root[None], 30.0, (), pelvis_height), up=up)
 
 
 def read_pose(path: Path | str, *, pelvis_height: float | None = None) -> Pose:
@@ -114,3 +191,18 @@ def read_pose(path: Path | str, *, pelvis_height: float | None = None) -> Pose:
         motion = fitted(motion, pelvis_height)
     clip = motion.read(0, 1)
     return Pose(clip.axis_angle[0], clip.root[0])
+
+
+def check_name(name: str) -> None:
+    """Refuse what cannot be the name of a pose of one's own, on any file system.
+
+    Raises:
+        ValueError: empty, too long, with characters that file systems reserve, ending in a dot or space, or built in.
+    """
+    reserved = set('/\\:*?"<>|')
+    if not name.strip() or len(name) > LONGEST_NAME or name != name.strip() or name[0] == "." or name[-1] == ".":
+        raise ValueError(f"a pose's name should be 1 to {LONGEST_NAME} letters without dots at its ends, is {name!r}")
+    if any(c in reserved or ord(c) < 32 for c in name):
+        raise ValueError(f"a pose's name should be without {' '.join(sorted(reserved))}, is {name!r}")
+    if name.casefold() in {known.casefold() for known in BUILTIN}:
+        raise ValueError(f"{name!r} is a built-in pose; choose another name")

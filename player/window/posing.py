@@ -1,16 +1,17 @@
 """Posing by hand in the window: one avatar leaves its motion, and keys and panels change its pose.
 
 The pose itself and undo are the session's (player/pose/session.py), the mouse is player/window/pose_tool.py.
-Here is what ties them to the window: its messages and files.
+Here is what ties them to the window: its messages, files and the library.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from command.errors import AssetError
 from player.draw.posing import grounded
-from player.pose.library import builtin_pose
+from player.pose.library import Library
 from player.pose.session import PoseSession
 from player.scene.framing import pelvis_height
 from player.scene.renderer import Pose
@@ -60,8 +61,9 @@ class PoseEdit:
             pelvis_height=pelvis_height(self.avatar),
         )
         self.tool = PoseTool(state, self.session, index)
-        # what is typed into the panel's field
-        self.file = ""
+        self.library = Library()
+        # what is typed into the panel's fields
+        self.name = self.file = ""
         # the pose of which was said that leaving loses it
         self._warned: object = None
 
@@ -104,10 +106,16 @@ class PoseEdit:
         self.session.load(self.file)
 
     def take(self, name: str) -> None:
-        """A built-in pose, put on the ground where the body stands."""
-        axis_angle = builtin_pose(name)
-        root = grounded(self.avatar, axis_angle, self.session.pose.root)
-        self.session.put(name, axis_angle, root, limited=False, hold=False)
+        """A pose of the library."""
+        session, ground = self.session, partial(grounded, self.avatar)
+        pose = self.library.read(name, root=session.pose.root, pelvis_height=session.pelvis_height, ground=ground)
+        session.put(name, pose.axis_angle, pose.root, limited=False, hold=False)
+
+    def keep(self, name: str) -> None:
+        """The present pose into the library."""
+        path = self.library.write(name, self.session.pose, pelvis_height=self.session.pelvis_height)
+        self.state.messages.say(f"{path} written")
+        self.session.history.mark_saved()
 
     def may_leave(self) -> bool:
         """Whether posing can end; what is not saved is said once and lost the second time."""

@@ -234,6 +234,26 @@ def test_a_pose_is_asked_for_before_it_is_lost_and_plays_as_a_motion(opened, ava
     assert np.array_equal(window.parts.posing.poses()[0][0], window.parts.state.playback.poses()[0][0])
 
 
+def test_a_pose_is_kept_in_the_library_and_taken_from_it(opened, tmp_path):
+    window, edit, session = opened()
+    session.set_angle(J["left_shoulder"], 0, 0.6)
+    session.move(session.pose, session.pose.root + [0.05, 0, 0])
+    wanted = session.pose
+    press(window, "name")
+    window.run(["type:Arm_up"])
+    press(window, "keep")
+    kept = tmp_path / "data" / "selfscan" / "poses" / "Arm up.npz"
+    assert kept.is_file() and edit.library.names()[-1] == "Arm up"
+    edit.take("T-pose")
+    assert not session.pose.same(wanted)
+    edit.take("Arm up")
+    assert session.pose.same(wanted)
+    (kept.parent / "broken.npz").write_bytes(b"nothing")
+    before = session.pose
+    edit.tried(lambda: edit.take("broken"))
+    assert session.pose is before and "broken.npz" in window.parts.state.messages.last
+
+
 def test_without_panels_the_keys_pose_one_of_two(opened, avatar_path):
     window, edit, session = opened(avatar_path)
     pose = session.pose.axis_angle

@@ -44,7 +44,7 @@ class PosePanels:
             ("Joint", "The selected joint and its angles.", self._joint),
             ("Hands", "Hand shapes by name, and each finger.", self._hands),
             ("Reach", "How hands and feet are pulled, and which stay where they are.", self._reach),
-            ("Library", "Poses to take.", self._library),
+            ("Library", "Poses to take, and your own to keep.", self._library),
         ):
             if self.ui.section(title, tip):
                 panel(edit)
@@ -166,14 +166,21 @@ class PosePanels:
                 edit.session.pin(limb, on)
 
     def _library(self, edit: PoseEdit) -> None:
-        """Built-in poses to take."""
+        """Poses to take; the present pose to keep under a name."""
+        ui, library = self.ui, edit.library
 
         def poses() -> None:
-            for name in BUILTIN:
-                if self.ui.row(name, f"Take the pose {name}, set on the ground.", name=f"take {name}"):
-                    edit.take(name)
+            for name in library.names():
+                if ui.row(name, f"Take the pose {name}, set on the ground.", name=f"take {name}"):
+                    edit.tried(lambda name=name: edit.take(name))
+                    edit.name = "" if name in BUILTIN else name
 
-        self.ui.long_choice("library", "take a pose", "Built-in poses.", poses)
+        ui.long_choice("library", "take a pose", "Built-in poses and your own.", poses)
+        edit.name = ui.field("name", edit.name, "The name under which the pose is kept.")
+        self._button(edit, "Keep", f"Keep the pose in {library.folder}.", lambda: edit.keep(edit.name))
+        if edit.name and edit.name not in BUILTIN and (library.folder / f"{edit.name}.npz").is_file():
+            self._button(edit, "Delete", "Delete this pose from the library.", lambda: library.delete(edit.name),
+                         name="delete pose", beside=True)  # fmt: skip
 
 
 def shown_degrees(angle: float) -> float:
