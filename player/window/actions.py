@@ -114,10 +114,6 @@ FIRST_FRAME = Action("go to the first frame", ("home",), timed(lambda line: line
 LAST_FRAME = Action("go to the last frame", ("end",), timed(lambda line: line.seek(line.frames - 1)))
 SLOWER = Action("play slower (down to 0.1 times)", ("[",), timed(lambda line: line.faster(-1)))
 FASTER = Action("play faster (up to 4 times)", ("]",), timed(lambda line: line.faster(1)))
-LOOP = Action("at the end: loop, to and fro, or once", ("l",), timed(lambda line: line.next_loop()))
-RANGE_A = Action("begin the range A-B at this frame", ("a",), timed(lambda line: line.set_a(line.frame)))
-RANGE_B = Action("end the range A-B with this frame", ("b",), timed(lambda line: line.set_b(line.frame)))
-RANGE_OFF = Action("play the whole motion again", ("x",), timed(lambda line: line.range_off()))
 
 NEXT_CAMERA = Action("next camera", ("c",), next_camera)
 RESET_CAMERA = Action("reset the orbit", ("r",), lambda parts: parts.viewpoint.cameras.orbit.reset())
@@ -159,8 +155,7 @@ GROUPS = (
     KeyGroup(
         "Time",
         (
-            PLAY, STEP_BACK, STEP_ON, SECOND_BACK, SECOND_ON, FIRST_FRAME, LAST_FRAME, SLOWER, FASTER, LOOP, RANGE_A,
-            RANGE_B, RANGE_OFF,
+            PLAY, STEP_BACK, STEP_ON, SECOND_BACK, SECOND_ON, FIRST_FRAME, LAST_FRAME, SLOWER, FASTER,
         ),
     ),
     KeyGroup("Camera", (NEXT_CAMERA, RESET_CAMERA, FOLLOW, ADD_CAMERA_KEY, SAVE_CAMERA_PATH)),

@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 11_839,
     "train": 5_693,
     "bake": 4_403,
-    "player": 17_809,
+    "player": 17_743,
     "shaders": 987,
     "synth": 2_688,
     "bench": 5_567,
     "selfscan": 432,
-    "tests": 35_144,
+    "tests": 35_102,
 }
 
 

@@ -70,12 +70,8 @@ def test_widgets_do_what_their_keys_do(window):
     assert line.frame == 2 and not line.playing
     run(window, "press:play")
     assert line.playing
-    run(window, "press:play press:end press:B press:start press:A")
-    assert (line.a, line.b, line.playing) == (0, line.frames - 1, False)
-    run(window, "press:on press:A")
-    assert line.a == 1
-    run(window, "press:A-B_off")
-    assert line.a is None and line.b is None
+    run(window, "press:play press:end")
+    assert (line.frame, line.playing) == (line.frames - 1, False)
 
 
 def test_scrubbing_by_dragging_the_long_slider(window):
@@ -91,10 +87,10 @@ def test_scrubbing_by_dragging_the_long_slider(window):
 
 
 def test_lists_open_over_the_picture_and_choose(window):
-    run(window, "press:loop wait")
-    x, y = window.panels.places["loop"]
+    run(window, "press:speed wait")
+    x, y = window.panels.places["speed"]
     run(window, f"click:{x}:{y - 30} wait")
-    assert window.parts.state.timeline.loop != "loop"
+    assert window.parts.state.timeline.speed != 1
     run(window, "press:camera wait")
     x, y = window.panels.places["camera"]
     run(window, f"click:{x}:{y + 46} wait")
