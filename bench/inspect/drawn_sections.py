@@ -11,13 +11,15 @@ from avatar.psnr import decibels
 from avatar.skeleton import JOINTS
 from bench.inspect.inspection import Inspector
 from bench.inspect.page import PagePicture, PageSection, animation, picture
-from bench.inspect.views import InspectView, strip
+from bench.inspect.views import InspectView, face_views, strip
 from player.scene.framing import extent, facing, fitted_camera, orbit
 from player.scene.motions import motion_for
 from player.scene.renderer import Pose, Renderer
 
 BACKGROUND = (0.965, 0.965, 0.957, 1.0)
 J = {name: index for index, name in enumerate(JOINTS)}
+# pixels of a side
+FACE = 512
 # times that view dependence is shown
 CHANGE = 8
 
@@ -33,6 +35,12 @@ def looks(inspector: Inspector) -> PageSection:
         change = np.clip(128 + CHANGE * (image.astype(float) - plain), 0, 255).astype(np.uint8)
         pictures.append(picture("look_change", change, f"what view dependence adds, {CHANGE} times, on grey"))
     return PageSection("look", pictures)
+
+
+def face(inspector: Inspector) -> PageSection:
+    """Three views of the face, filling the picture, as a person would look at it."""
+    image = np.hstack(standing(inspector, face_views(inspector.avatar, FACE), "off"))
+    return PageSection("face", [picture("face", image, "the face, in the paper's colors")])
 
 
 def posed(inspector: Inspector) -> PageSection:

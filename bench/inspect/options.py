@@ -16,19 +16,19 @@ EXAMPLES = f"""DIR gets inspect.html, one page with everything in it (mail it, o
 pictures as files, and inspect.json with the numbers. It needs no display. What the page shows, and what to look for:
 
   as drawn       six standard views, the paper's colors and with view dependence; strained poses; turntable
-  face           at 512 px; --capture: beside true pictures, with the error of the eye region
+  face           at 512 px, from three sides
   parts          body, head and hands            weights      who moves what; --joint NAME: one joint alone
   texels         their size on the surface       seams        chart edges by the step of color across them
   cones          how far color may follow the eye, and what no camera ever saw
   triangles      their size, holes               levels       levels of detail side by side
-  field          --run: mesh to field, mm        truth        --capture: mesh to the true surface, mm (P2S)
+  field          --run: mesh to field, mm
   accuracy       what baking measured            provenance   where it comes from
 
 A table on top says which numbers are as they should be. The command judges nothing by its exit code.
 
 examples
   selfscan inspect me.glb -o out/inspect
-  selfscan inspect me.glb -o out/inspect --run out/run --capture out/capture --joint left_elbow --joint spine3
+  selfscan inspect me.glb -o out/inspect --run out/run --joint left_elbow --joint spine3
 
 joints: {", ".join(JOINTS[:22])},
   and left_ right_ with index middle pinky ring thumb 1 2 3"""
@@ -51,8 +51,6 @@ class InspectCommand:
     output: Annotated[Path, Option(("-o", "--output"), "DIR"), "folder to write"]
     run: Annotated[Path | None, Option(metavar="RUN"),
         "run folder it was baked from: distance of mesh and field"] = None
-    capture: Annotated[Path | None, Option(metavar="CAPTURE"),
-        "capture with truth/: distance to the true surface"] = None
     joint: Annotated[tuple[str, ...], Option(metavar="NAME", parse=parse_joint, repeated=True),
         "show this joint's weight alone; again for more"] = ()
     size: Annotated[int, AtLeast(64), AtMost(2048), "side of the large views, pixels"] = 520

@@ -77,9 +77,6 @@ SECTIONS = {
                   "changes of size come out as lines in the light."),
     "field": ("Distance to the field", "Of each triangle's centre and corners the one farthest from the field's "
               "surface. Red stands outside of it, blue inside."),
-    "truth": ("Distance to the truth", "Each vertex to the nearest point of the subject's own visible surface, both in "
-              "T-pose. All of the mesh counts here, hidden folds too; `selfscan eval` scores what can be seen, over "
-              "the test poses."),
     "levels": ("Levels of detail", "The same views of each level, in the paper's colors, the background counted."),
     "accuracy": ("Measured while baking", "As written into the file; paths are those of its JSON."),
     "provenance": ("Provenance", "Where the avatar comes from."),

@@ -69,13 +69,9 @@ class RenderCommand:
         "view mode and mesh are the most exact whose frames take no longer (p95), as measured on this machine once and "
         "kept; or 120fps"] = None
     level: Annotated[int | None, TIME.rare, AtLeast(0), AtMost(99), "level of detail, 0 the finest"] = None
-    level_by_size: Annotated[bool, TIME.rare,
-        "each avatar at the coarsest level that does for its largest size in the film, none finer than --level"] = False
     body: Annotated[arguments.BodyOption, WHO.rare] = None
     hands: Annotated[arguments.HandsOption, WHO.rare] = "file"
     ground: Annotated[arguments.GroundOption, WHO.rare] = "auto"
-    encoder: Annotated[str, FILM.rare, Option(metavar="auto|software|NAME"),
-        "of .mp4: auto takes the GPU's if it really encodes a frame, else x264"] = "auto"
     resume: Annotated[bool, FILM.rare, "go on with the parts that an earlier run of this film left"] = False
     part: Annotated[tuple[int, int] | None, FILM.rare, Option(metavar="K/N", parse=arguments.parse_share),
         "draw only the Kth of N shares of the film; --resume then joins them"] = None

@@ -154,12 +154,10 @@ def with_effects(effects: Effects, asked: Mapping[str, Any]) -> Effects:
 
 
 def with_options(
-    scene: Scene, effects: Effects, size: tuple[int, int] | None, background: Background | None, level_by_size: bool
+    scene: Scene, effects: Effects, size: tuple[int, int] | None, background: Background | None
 ) -> Scene:
     """The scene with what a command says over it; a None is left to the scene."""
-    by_size = scene.level_by_size or level_by_size
-    background, size = background or scene.background, size or scene.size
-    return replace(scene, effects=effects, size=size, background=background, level_by_size=by_size)
+    return replace(scene, effects=effects, size=size or scene.size, background=background or scene.background)
 
 
 EffectsOption = Annotated[

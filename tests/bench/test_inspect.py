@@ -9,18 +9,14 @@ import pytest
 from PIL import Image
 from tiny_avatar import tiny_avatar, tiny_level, unit
 
-from avatar.gltf.avatar_file import read_avatar, write_avatar
-from avatar.skeleton import JOINTS, skin_transforms
-from avatar.skinning import skin_points
+from avatar.gltf.avatar_file import write_avatar
+from avatar.skeleton import JOINTS
 from bench.inspect import mesh_facts
-from bench.inspect.accuracy_sections import from_field, from_truth
+from bench.inspect.accuracy_sections import from_field
 from bench.inspect.colors import ABSENT, SEQUENTIAL, Ramp, rgb
 from bench.inspect.command import inspect
-from bench.inspect.face_section import beside_truth, region_db
 from bench.inspect.options import InspectCommand, inspect_main
 from bench.inspect.page import Check, PagePicture, PageSection, page
-from bench.score.true_mesh import read_true_mesh
-from capture.held_out import read_held_out
 from capture.read.template import part_of
 from command.errors import AssetError
 
@@ -151,35 +147,6 @@ def test_distance_to_a_field_is_the_farthest_of_corners_and_centre():
     assert found.max() == pytest.approx(60, abs=1e-3) and found.min() == pytest.approx(-40, abs=1e-3)
 
 
-def write_truth(folder, avatar, offset):
-    """A capture whose truth is the avatar's own finest mesh in T-pose, moved."""
-    level = avatar.levels[0]
-    skin = level.skin
-    transforms = skin_transforms(np.zeros((52, 3)), avatar.joint_positions, np.zeros(3), rest=avatar.canonical_pose)
-    (folder / "truth").mkdir(parents=True)
-    np.savez(
-        folder / "truth" / "rest.npz",
-        vertices=skin_points(level.positions.astype(float), skin, transforms) + offset,
-        faces=level.faces.astype(np.int64),
-        skin_joints=skin.joints,
-        skin_weights=skin.weights,
-        joints=avatar.joint_positions,
-        part=np.zeros(len(level.positions), np.int64),
-        hair=np.zeros(len(level.positions), bool),
-        visible=np.ones(len(level.faces), bool),
-    )
-
-
-def test_distance_to_the_truth_is_measured_in_t_pose(tmp_path):
-    avatar = tiny_avatar(levels=(cube(),))
-    write_truth(tmp_path / "same", avatar, 0.0)
-    assert from_truth(avatar, avatar.levels[0], tmp_path / "same").max() < 1e-3
-    write_truth(tmp_path / "above", avatar, [0, 0.005, 0])
-    found = from_truth(avatar, avatar.levels[0], tmp_path / "above")
-    low = avatar.levels[0].positions[:, 1] < 0.01  # the bottom lies 5 mm under the moved cube, the top inside its sides
-    np.testing.assert_allclose(found[low], 5.0, atol=1e-3)
-
-
 @pytest.fixture
 def person(tmp_path):
     """A cube for a head and a face-less tiny avatar for the rest: two levels with a view network."""
@@ -191,16 +158,15 @@ def person(tmp_path):
 def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_path, monkeypatch, capfd):
     pytest.importorskip("pyvista")
     monkeypatch.setenv("DISPLAY", ":77")  # no such display: VTK must not be sent to look for it
-    write_truth(tmp_path / "capture", tiny_avatar(), 0.0)
     out = tmp_path / "out"
     arguments = [str(person), "-o", str(out), "--size", "64", "--turns", "3", "--joint", "left_elbow"]
-    assert inspect_main([*arguments, "--capture", str(tmp_path / "capture")]) == 0
+    assert inspect_main(arguments) == 0
     said = capfd.readouterr()
     assert "X server" not in said.err and f"{out}/inspect.html:" in said.out
     text = (out / "inspect.html").read_text()
     pictures = sorted(p.stem for p in out.iterdir() if p.suffix in (".png", ".webp"))
     assert text.count("<img ") == len(pictures)
-    views, seen = "look_off look_network look_change face turntable level_0 level_1", "cones seen triangles truth"
+    views, seen = "look_off look_network look_change face turntable level_0 level_1", "cones seen triangles"
     charts = "parts weights weight_left_elbow texels atlas seams_mip0"
     assert {*views.split(), *charts.split(), *seen.split()} <= set(pictures)
     for name in pictures:
@@ -212,7 +178,6 @@ def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_
         assert image.size == (64 * 3, 64)
     facts = json.loads((out / "inspect.json").read_text())
     assert facts["levels"][0]["faces"] == 6 and facts["bytes"] == person.stat().st_size
-    assert facts["truth"]["total"]["p2s_mm"] < 1e-3
     assert {check["what"] for check in facts["checks"] if check["good"] is False} >= {
         "open edges, and edges of more than two triangles, level by level"
     }
@@ -225,26 +190,6 @@ def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_
 
 
 def test_bad_input_is_told_and_leaves_nothing(person, tmp_path):
-    for option in ("--run", "--capture"):
-        with pytest.raises(AssetError, match="nowhere"):
-            inspect_main([str(person), "-o", str(tmp_path / "out"), option, str(tmp_path / "nowhere")])
+    with pytest.raises(AssetError, match="nowhere"):
+        inspect_main([str(person), "-o", str(tmp_path / "out"), "--run", str(tmp_path / "nowhere")])
     assert not (tmp_path / "out").exists()
-
-
-def test_the_face_is_scored_beside_true_close_ups(oracle, context):
-    capture, avatar = oracle[0], read_avatar(oracle[1])
-    truth = read_true_mesh(capture)
-    points = truth.canonical()
-    # the front of the head stands for eyes: the striped body has none
-    front = (truth.part == 1) & (points[:, 2] > np.quantile(points[truth.part == 1, 2], 0.8))
-    truth = dataclasses.replace(truth, eye=front)
-    views = [view for view in read_held_out(capture, "novel_pose") if view.view == "head"]
-    close_ups = beside_truth(context, avatar, truth, views)
-    assert len(close_ups) == len(views)
-    head, eyes = region_db(close_ups, "head"), region_db(close_ups, "eyes")
-    assert head is not None and head > 20  # the avatar is the truth itself
-    assert (eyes is not None) == any(one.eyes.any() for one in close_ups)
-    darker = [one._replace(drawn=one.truth - 0.1) for one in close_ups]
-    assert region_db(darker, "head") == pytest.approx(20.0, abs=0.01)
-    nothing = [one._replace(eyes=np.zeros_like(one.eyes)) for one in close_ups]
-    assert region_db(nothing, "eyes") is None

@@ -12,9 +12,10 @@ from avatar.camera import Camera, look_at, pinhole, pixel_rays
 from avatar.gltf.avatar_file import read_avatar
 from bench.eval_command import eval_main
 from bench.score.picture_scores import box_pixels, is_t_pose, region_of
-from bench.score.quality import evaluate, not_chosen_on, view_modes
+from bench.score.quality import evaluate
 from bench.score.quality_table import view_mode_lines
 from bench.score.true_mesh import read_true_mesh
+from bench.score.view_modes import view_modes
 from capture.held_out import read_held_out
 from command.errors import AssetError
 from experiments.ceiling import ceiling_surface
@@ -77,7 +78,7 @@ def test_a_view_mode_farther_from_the_truth_loses(oracle):
     level = avatar.levels[0]
     level = replace(level, view_seen=np.ones_like(level.view_seen), features=np.full((4, 4, 4), 255, np.uint8))
     tinted = replace(avatar, levels=(level,), linear=np.full((4, 3, 3), 0.1, np.float32), default_view="linear")
-    found = view_modes(tinted, {}, {name: read_held_out(capture, name) for name in ("novel_pose", "novel_view")})
+    found = view_modes(tinted, {name: read_held_out(capture, name) for name in ("novel_pose", "novel_view")})
     assert (found["default"], found["best"]) == ("linear", "off")
     for name in ("novel_pose", "novel_view"):
         scores = found["psnr_db"][name]
@@ -87,20 +88,6 @@ def test_a_view_mode_farther_from_the_truth_loses(oracle):
     lines = view_mode_lines({"view_modes": found})
     assert any(line.startswith("- novel pose, vertex: total") for line in lines)
     assert lines[-1].startswith("- default linear; best here off (nearest to the true pictures: off")
-
-
-def test_pictures_on_which_the_mode_was_chosen_do_not_judge_it(oracle):
-    held_out = {name: read_held_out(oracle[0], name) for name in ("novel_pose", "novel_view")}
-    facts = {"subject": "striped", "light": "even", "seed": 0}
-    first = {name: [min(view.pose_index for view in views)] for name, views in held_out.items()}
-    recorded = {"by": "truth", **facts, "chosen_on": {"poses": first}}
-    judged = not_chosen_on(recorded, facts, held_out)
-    for name, views in judged.items():
-        assert {v.pose_index for v in views} == {v.pose_index for v in held_out[name]} - set(first[name])
-    assert not_chosen_on(recorded, {**facts, "seed": 1}, held_out) is held_out
-    assert not_chosen_on(None, facts, held_out) is held_out
-    everything = {name: [view.pose_index for view in views] for name, views in held_out.items()}
-    assert not_chosen_on(recorded | {"chosen_on": {"poses": everything}}, facts, held_out) is held_out
 
 
 def test_the_command_prints_a_table_and_writes_json(oracle, tmp_path, capsys, result, monkeypatch):

@@ -10,17 +10,17 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_391,
     "command": 1_280,
-    "avatar": 8_450,
+    "avatar": 8_392,
     "geometry": 1_728,
-    "capture": 11_830,
+    "capture": 11_839,
     "train": 5_693,
-    "bake": 4_638,
-    "player": 18_755,
-    "shaders": 1_021,
+    "bake": 4_442,
+    "player": 17_733,
+    "shaders": 972,
     "synth": 2_688,
-    "bench": 5_853,
+    "bench": 5_567,
     "selfscan": 432,
-    "tests": 33_739,
+    "tests": 32_985,
 }
 
 

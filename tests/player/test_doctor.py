@@ -139,7 +139,6 @@ def test_doctor_lists_devices_with_their_names(cards, tmp_path, capsys):
     ]
     assert all(device in said for device in found["egl_devices"])
     assert found["winner"]["renderer"] in said
-    assert found["encoders"][0] in ("libx264", "h264_nvenc", "h264_videotoolbox", "h264_qsv", "h264_amf")
 
 
 @pytest.fixture

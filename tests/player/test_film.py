@@ -8,7 +8,6 @@ import pytest
 from pictures import pixels
 from PIL import Image
 
-import player.film.encoder as encoder_module
 from avatar.camera import orbit_camera
 from avatar.motion.clip import Clip
 from avatar.motion.read import builtin_motion
@@ -16,7 +15,6 @@ from command.errors import AssetError
 from player.effects.ground import Ground
 from player.effects.lens import SHARP, STILL, DepthOfField, MotionBlur
 from player.film import exposure
-from player.film.encoder import X264, Encoder, chosen_encoder, refusal
 from player.film.exposure import exposures, lens_point, through
 from player.film.film import WAITING, Film, straight
 from player.film.shot import Shot, ShotRenderer
@@ -125,7 +123,7 @@ def drawn(context, avatar):
 @pytest.mark.parametrize(("quality", "most", "psnr"), [("draft", 3.0, 32.0), ("good", 2.0, 35.0), ("best", 1.8, 37.0)])
 def test_a_decoded_frame_of_an_mp4_is_near_to_the_png(drawn, tmp_path, quality, most, psnr):
     """Within 2/255 on average, and no channel off on the whole: matrix and range are those of the tag."""
-    filmed(tmp_path / "a.mp4", drawn, encoder="software", quality=quality)
+    filmed(tmp_path / "a.mp4", drawn, quality=quality)
     with av.open(str(tmp_path / "a.mp4")) as container:
         decoded = [f.to_ndarray(format="rgb24")[:321, :320] for f in container.decode(video=0)]
     gap = np.stack(decoded).astype(float) - np.stack(drawn)[..., :3]
@@ -137,14 +135,14 @@ def test_a_decoded_frame_of_an_mp4_is_near_to_the_png(drawn, tmp_path, quality, 
 
 def test_kept_arrays_are_few_and_an_odd_size_is_padded_with_its_edge(drawn, tmp_path):
     """A canvas comes back when its frame is written, never before: the film is that of frames kept apart."""
-    with Film(tmp_path / "kept.mp4", 30.0, encoder="software") as film:
+    with Film(tmp_path / "kept.mp4", 30.0) as film:
         arrays = set()
         for number in range(60):
             canvas = film.canvas((320, 321))
             arrays.add(id(canvas))
             canvas[:] = drawn[number % 12]
             film.add(canvas)
-    filmed(tmp_path / "apart.mp4", (drawn[number % 12].copy() for number in range(60)), encoder="software")
+    filmed(tmp_path / "apart.mp4", (drawn[number % 12].copy() for number in range(60)))
     assert len(arrays) <= WAITING + 3
     assert (tmp_path / "kept.mp4").read_bytes() == (tmp_path / "apart.mp4").read_bytes()
     image = np.zeros((31, 33, 4), np.uint8)
@@ -156,40 +154,6 @@ def test_kept_arrays_are_few_and_an_odd_size_is_padded_with_its_edge(drawn, tmp_
     assert np.abs(decoded[:31, :33] - image[..., :3]).max() <= 8
     assert np.abs(decoded[:31, 33] - image[:, 32, :3]).max() <= 8
     assert np.abs(decoded[31, :33] - image[30, :, :3]).max() <= 8
-
-
-def test_auto_takes_the_first_encoder_that_really_encodes(monkeypatch):
-    asked = []
-
-    def refusal(encoder, size):
-        asked.append((encoder.name, size))
-        return None if encoder.name == "h264_qsv" else "no such chip"
-
-    monkeypatch.setattr(encoder_module, "refusal", refusal)
-    chosen, tried = chosen_encoder(".mp4", "auto", (64, 48))
-    assert chosen.name == "h264_qsv"
-    assert asked == [(name, (64, 48)) for name in ("h264_nvenc", "h264_videotoolbox", "h264_qsv")]
-    assert tried == ["h264_nvenc: no such chip", "h264_videotoolbox: no such chip"]
-    monkeypatch.setattr(encoder_module, "refusal", lambda _encoder, _size: "no such chip")
-    chosen, tried = chosen_encoder(".mp4", "auto", (64, 48))
-    assert chosen == X264 and len(tried) == 5
-    asked.clear()
-    assert chosen_encoder(".mp4", "software", (64, 48)) == (X264, []) and not asked
-
-
-def test_an_encoder_is_known_by_encoding_and_taken_or_refused_in_one_line(tmp_path, monkeypatch):
-    assert refusal(X264, (64, 48)) is None and refusal(X264, (65, 47)) is None
-    assert refusal(Encoder("h264_of_mars", "yuv420p"), (64, 48)) == "not in this FFmpeg"
-    assert refusal(Encoder("libx264", "yuv420p", (("preset", "none such"),)), (64, 48))
-    assert refusal(X264, (40_000, 2))  # listed, and cannot
-    with pytest.raises(AssetError, match=r"--encoder x265: should be auto, software or one of h264_nvenc"):
-        chosen_encoder(".mp4", "x265", (64, 48))
-    with pytest.raises(AssetError, match=r"--encoder libx264: \.webm is encoded by libvpx-vp9"):
-        chosen_encoder(".webm", "libx264", (64, 48))
-    monkeypatch.setattr(encoder_module, "refusal", lambda _encoder, _size: "no such chip")
-    with pytest.raises(AssetError, match="--encoder h264_nvenc does not encode here: no such chip"):
-        filmed(tmp_path / "a.mp4", [frame(0)], encoder="h264_nvenc")
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("rate", "frames"), [(30.0, 60), (29.97, 40), (25.0, 50), (60.0, 120), (120.0, 240), (7.0, 1)])

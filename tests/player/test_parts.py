@@ -35,8 +35,7 @@ def short_parts():
 
 @pytest.fixture(scope="module")
 def arguments(tiny_path):
-    return [tiny_path, "--motion", "walking", "--frames", "5:55", "--size", "49x48", "--camera", "orbit",
-            "--encoder", "software"]  # fmt: skip
+    return [tiny_path, "--motion", "walking", "--frames", "5:55", "--size", "49x48", "--camera", "orbit"]
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +145,7 @@ def test_shares_in_any_order_and_a_gif_in_parts_are_the_film_in_one_go(arguments
 def test_films_of_neighbouring_frames_join_to_the_film_of_all(arguments, tmp_path):
     """With a camera that does not depend on the range; the ranges meet where parts do."""
     write_camera(tmp_path / "camera.json", orbit_camera((0, 1, 0), 3.0, 0.2, 0.0, (49, 48)))
-    base = [*arguments[:3], "--camera", str(tmp_path / "camera.json"), "--encoder", "software"]
+    base = [*arguments[:3], "--camera", str(tmp_path / "camera.json")]
     for name, frames in (("a.mp4", "5:20"), ("b.mp4", "20:55"), ("all.mp4", "5:55")):
         render_main([*base, "--frames", frames, "-o", str(tmp_path / name)])
     pieces = [(tmp_path / "a.mp4", 15), (tmp_path / "b.mp4", 35)]

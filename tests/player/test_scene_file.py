@@ -28,7 +28,6 @@ from player.window.show import opened_show
 
 FULL = '''\
 size = [640, 480]
-level_by_size = true
 rate = 24   # a comment = with [[avatar]] in it
 [[avatar]]
 path = "mannequin"
@@ -85,7 +84,6 @@ def test_every_key_arrives(scene_file):
         background=Background("hdr", STUDIO.color, str(path.parent / "sky.hdr"), exposure=-1.0),
         effects=Effects("off", "lbs", "fxaa", outline=Outline(width=3.0)),
         size=(640, 480),
-        level_by_size=True,
         rate=24.0,
     )
 
@@ -94,42 +92,41 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     (
         '"turn_deg" = 30',
         '"turndeg" = 30',
-        11,
+        10,
         r"avatar 1\.turndeg: unknown key in \[\[avatar\]\]; did you mean turn_deg\?",
     ),
-    ("[effects]", "[efects]", 27, r"efects: unknown key in a scene; did you mean effects\?"),
-    ("exposure", "qqq", 26, r"background\.qqq: unknown key in \[background\]; \[background\] has kind, color, path"),
-    ("seconds = 8", 'seconds = "8"', 19, r"camera 1\.seconds: expected a number, found the string '8'"),
-    ("start = 1", "start = true", 14, r"avatar 2\.start: expected a number, found true"),
-    ("start = 1", "start = -1", 14, r"avatar 2\.start: expected at least 0, found -1"),
-    ("rate = 24", "rate = 0", 3, r"rate: expected at least 0.01, found 0"),
-    ("rate = 24", "rate = inf", 3, r"rate: expected a finite number, found inf"),
-    ("rate = 24", "rate = ", 3, r"Invalid value, column 11"),
+    ("[effects]", "[efects]", 26, r"efects: unknown key in a scene; did you mean effects\?"),
+    ("exposure", "qqq", 25, r"background\.qqq: unknown key in \[background\]; \[background\] has kind, color, path"),
+    ("seconds = 8", 'seconds = "8"', 18, r"camera 1\.seconds: expected a number, found the string '8'"),
+    ("start = 1", "start = true", 13, r"avatar 2\.start: expected a number, found true"),
+    ("start = 1", "start = -1", 13, r"avatar 2\.start: expected at least 0, found -1"),
+    ("rate = 24", "rate = 0", 2, r"rate: expected at least 0.01, found 0"),
+    ("rate = 24", "rate = inf", 2, r"rate: expected a finite number, found inf"),
+    ("rate = 24", "rate = ", 2, r"Invalid value, column 11"),
     ("[640, 480]", "[640]", 1, r"size: expected 2 whole numbers in brackets, found 1 of them"),
     ("[640, 480]", "[640, 480.5]", 1, r"size: expected a whole number, found the number 480\.5"),
     ("[640, 480]", '"640x480"', 1, r"size: expected 2 whole numbers in brackets, found the string '640x480'"),
-    ("  -1]", "  nan]", 7, r"avatar 1\.at: expected a finite number"),
-    ('"walking"', '"wlking"', 6, r"avatar 1\.motion: no such file: .*wlking \(and it is none of counting, walking\)"),
-    ('"sky.hdr"', '"sky.exr"', 25, r"background\.path: no such file: .*sky\.exr"),
-    ('path = "sky.hdr"\n', "", 23, r"background: background hdr needs a path"),
-    ('kind = "hdr"', 'kind = "sky"', 24, r"background\.kind: expected one of color, image, video, hdr, transparent"),
+    ("  -1]", "  nan]", 6, r"avatar 1\.at: expected a finite number"),
+    ('"walking"', '"wlking"', 5, r"avatar 1\.motion: no such file: .*wlking \(and it is none of counting, walking\)"),
+    ('"sky.hdr"', '"sky.exr"', 24, r"background\.path: no such file: .*sky\.exr"),
+    ('path = "sky.hdr"\n', "", 22, r"background: background hdr needs a path"),
+    ('kind = "hdr"', 'kind = "sky"', 23, r"background\.kind: expected one of color, image, video, hdr, transparent"),
     (
         'kind = "hdr"',
         'kind = "transparent"\ncolor = "#000000"',
-        25,
+        24,
         r"background\.color: a transparent background takes no color",
     ),
-    ("exposure = -1", 'color = "red"', 26, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
-    ("vmc:0.0.0.0:39539", "osc:1", 15, r"avatar 2\.live: expected vmc:PORT or udp:PORT or ws:PORT, found 'osc:1'"),
-    ("start = 1", 'motion = "walking"', 14, r"avatar 2\.motion: motion and live: expected one of them, found both"),
-    ('path = """mannequin:female"""\n', "", 12, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),
-    ('kind = "front"', 'kind = "file"', 20, r"camera 2: camera file needs a path"),
-    ("fov_deg = 40", "fov_deg = 180", 22, r"camera 2\.fov_deg: expected less than 180, found 180"),
-    ("width = 3", "width = 0", 31, r"effects\.outline\.width: expected more than 0, found 0"),
-    ("width = 3", 'color = "#ff000080"', 31, r"effects\.outline\.color: expected an opaque color"),
-    ("width = 3", "with = 2", 31, r"effects\.outline\.with: unknown key in \[effects\.outline\]; did you mean width\?"),
-    ("= true", "= 1", 2, r"level_by_size: expected true or false, found the number 1"),
-    ("fxaa", "smaa", 29, r"effects\.antialiasing: expected one of auto, none, fxaa, msaa, found 'smaa'"),
+    ("exposure = -1", 'color = "red"', 25, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
+    ("vmc:0.0.0.0:39539", "osc:1", 14, r"avatar 2\.live: expected vmc:PORT or udp:PORT or ws:PORT, found 'osc:1'"),
+    ("start = 1", 'motion = "walking"', 13, r"avatar 2\.motion: motion and live: expected one of them, found both"),
+    ('path = """mannequin:female"""\n', "", 11, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),
+    ('kind = "front"', 'kind = "file"', 19, r"camera 2: camera file needs a path"),
+    ("fov_deg = 40", "fov_deg = 180", 21, r"camera 2\.fov_deg: expected less than 180, found 180"),
+    ("width = 3", "width = 0", 30, r"effects\.outline\.width: expected more than 0, found 0"),
+    ("width = 3", 'color = "#ff000080"', 30, r"effects\.outline\.color: expected an opaque color"),
+    ("width = 3", "with = 2", 30, r"effects\.outline\.with: unknown key in \[effects\.outline\]; did you mean width\?"),
+    ("fxaa", "smaa", 28, r"effects\.antialiasing: expected one of auto, none, fxaa, msaa, found 'smaa'"),
 ]
 
 
@@ -338,7 +335,7 @@ def test_an_order_names_all_its_files_and_changes_with_each(tiny_path, tmp_path)
     camera = tmp_path / "camera.json"
     write_camera(camera, orbit_camera((0, 0.9, 0), 3.0, 0.5, 0.1, (40, 48)))
     scene = Scene((SceneAvatar(tiny_path, "walking"),), cameras=(SceneCamera("file", str(camera)),))
-    shot = Shot(scene, 0, 10, (40, 48), 30.0, None, encoder="libx264")
+    shot = Shot(scene, 0, 10, (40, 48), 30.0, None)
     assert shot.files() == sorted([tiny_path, str(camera)])
     before = Parts(tmp_path / "a.mp4", 0, 10, shot.identity())
     before.begin(resume=False)

@@ -15,7 +15,7 @@ from player.scene.camera_path import CameraPath, is_path
 from player.scene.motions import BLOCK
 from player.scene.track import Track
 from player.window.playback import Playback
-from player.window.timeline import LOOPS, SPEEDS, Timeline
+from player.window.timeline import SPEEDS, Timeline
 
 
 def test_a_second_of_play_is_a_second_of_clip_at_any_speed():
@@ -27,37 +27,7 @@ def test_a_second_of_play_is_a_second_of_clip_at_any_speed():
         assert line.frame == int(30 * speed) and abs(line.seconds - speed) < 1e-12
 
 
-def test_the_range_from_a_to_b_loops_runs_once_or_to_and_fro():
-    def frames(loop, steps):
-        line = Timeline(100, 10)
-        line.loop = loop
-        line.set_a(20)
-        line.set_b(24)
-        line.seek(22)
-        seen = []
-        for _ in range(steps):
-            seen.append(line.frame)
-            line.advance(0.1)
-        return seen, line
-
-    assert frames("loop", 9)[0] == [22, 23, 24, 20, 21, 22, 23, 24, 20]
-    assert frames("to and fro", 12)[0] == [22, 23, 24, 24, 23, 22, 21, 20, 20, 21, 22, 23]
-    seen, line = frames("once", 6)
-    assert seen == [22, 23, 24, 24, 24, 24] and not line.playing
-    line.toggle()
-    assert line.playing and line.frame == 20  # played to its end, it begins anew
-
-
-def test_a_and_b_stay_in_the_clip_steps_pause_and_a_timeline_needs_frames():
-    line = Timeline(100, 30)
-    line.set_b(10)
-    line.set_a(50)
-    assert (line.a, line.b) == (50, None)
-    line.set_b(40)
-    assert (line.a, line.b) == (None, 40)
-    line.set_a(-5)
-    line.set_b(1000)
-    assert (line.a, line.b) == (0, 99)
+def test_steps_pause_and_a_timeline_needs_frames():
     line = Timeline(100, 30)
     line.step(-3)
     assert line.frame == 0 and not line.playing
@@ -71,10 +41,9 @@ def test_a_and_b_stay_in_the_clip_steps_pause_and_a_timeline_needs_frames():
             Timeline(frames, rate)
 
 
-@pytest.mark.parametrize("loop", LOOPS)
-def test_time_stays_in_the_clip_over_a_long_run(loop):
+def test_time_stays_in_the_clip_over_a_long_run():
     line = Timeline(7, 30)
-    line.loop, line.speed = loop, 4.0
+    line.speed = 4.0
     rng = np.random.default_rng(0)
     for dt in [float("nan"), *rng.uniform(-0.1, 1.0, 20_000)]:
         line.advance(dt)

@@ -16,7 +16,7 @@ from command.errors import AssetError
 from player.gl.context import open_context
 from player.play_command import play_main
 from player.scene.camera_path import CameraPath
-from player.scene.cameras import Cameras, Orbit, Walk
+from player.scene.cameras import Cameras, Orbit
 from player.scene.effects import USUAL
 from player.scene.framing import extent, facing, fitted_camera
 from player.scene.motions import motion_for
@@ -60,12 +60,8 @@ def test_keys_play_pause_step_scrub_and_reset(shot):
 
 
 @pytest.mark.usefixtures("osmesa")
-def test_a_range_loops_and_speed_changes(shot, capsys):
-    # frames 60 to 62 at the script's 30 a second: after any multiple of 3 frames the same one
-    held = shot("space scrub:2 a . . b scrub:2 space wait wait")
-    assert np.array_equal(held, shot("space scrub:2 a . . b scrub:2 space " + "wait " * 8))
+def test_speed_changes(shot):
     assert np.array_equal(shot("space home ] space wait space"), shot("space home . . . ."))
-    assert np.array_equal(shot("space scrub:2 a . . b x end"), shot("space end"))
 
 
 @pytest.mark.usefixtures("osmesa")
@@ -120,15 +116,11 @@ def test_a_click_picks_and_its_joint_is_named(avatar_path, tmp_path, monkeypatch
 
 
 @pytest.mark.usefixtures("osmesa")
-def test_cameras_change_walk_and_turn(shot):
+def test_cameras_change_and_turn(shot):
     home = shot("space home")
-    assert np.array_equal(shot("space home c"), home)  # first person starts where one looked from
-    assert not np.array_equal(shot("space home c w w w"), home)
-    assert np.array_equal(shot("space home c w s d a e q"), home)
-    assert not np.array_equal(shot("space home c down:w wait wait up:w"), shot("space home c w"))
-    turned = shot("space home c c wait wait wait")
+    turned = shot("space home c wait wait wait")
     assert not np.array_equal(turned, home)
-    assert np.array_equal(shot("space home c c wait wait wait c r"), home)
+    assert np.array_equal(shot("space home c wait wait wait c r"), home)
 
 
 @pytest.mark.usefixtures("osmesa")
@@ -145,23 +137,11 @@ def test_camera_keys_are_recorded_saved_and_looked_along(shot, tmp_path, avatar_
 
 
 @pytest.mark.usefixtures("osmesa")
-def test_screenshots_and_films_hold_the_picture_without_the_text(shot, tmp_path, capsys):
-    import av
-
+def test_screenshots_hold_the_picture_without_the_text(shot, tmp_path):
     shown = shot("space scrub:1 s wait s wait")
     taken = pixels(tmp_path / "selfscan-000.png")
     assert np.array_equal(taken[:170], shown) and np.array_equal(taken, pixels(tmp_path / "selfscan-001.png"))
     assert (taken[170:] == taken[0, 0]).mean() > 0.5 and taken.shape == (200, 160, 3)
-    shot("space home space o wait wait wait o")
-    with av.open(str(tmp_path / "selfscan-000.mp4")) as film:
-        frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
-    assert len(frames) == 4 and frames[0].shape == (200, 160, 3)
-    # colours are stored at half the size: brightness tells
-    assert np.abs(frames[0][:170].mean(-1) - shot("space home").mean(-1)).mean() < 2.5
-    shot("space o wait size:100:80 wait wait")  # another size ends it
-    assert "another size" in capsys.readouterr().out and (tmp_path / "selfscan-001.mp4").exists()
-    shot("space o wait")  # closing writes it
-    assert (tmp_path / "selfscan-002.mp4").exists()
 
 
 @pytest.mark.usefixtures("osmesa")
@@ -209,7 +189,7 @@ def test_letters_are_smooth_and_twice_as_high_on_a_dense_screen(avatar_path, tmp
 def test_the_list_of_keys_is_shown_in_windows_of_every_size(avatar_path, tmp_path, size):
     image = screenshot(avatar_path, tmp_path / "a.png", "space h wait wait", size=size)
     keys = (np.abs(image - [255, 204, 51]).max(-1) < 60).nonzero()
-    assert len(keys[0]) > 50 and np.ptp(keys[0]) > 0.4 * image.shape[0]
+    assert len(keys[0]) > 50 and np.ptp(keys[0]) > 0.35 * image.shape[0]
 
 
 def test_a_script_has_known_words_and_the_docs_name_all(avatar_path):
@@ -252,24 +232,9 @@ def test_orbit_and_turntable_stay_finite_and_choose_what_is_there():
     for _ in range(120):
         cameras.advance(0.1)
     assert np.allclose(cameras.camera((10, 10), 0.0, 0).camera_from_world, before, atol=1e-9)
-    assert cameras.kinds == ["orbit", "walk", "turntable"]
+    assert cameras.kinds == ["orbit", "turntable"]
     with pytest.raises(ValueError, match="camera should be one of"):
         Cameras(cameras.orbit, kind="path")
-
-
-def test_first_person_goes_where_it_looks():
-    walk = Walk(np.zeros(3), 0.0, 0.0)
-    right = walk.camera((10, 10)).camera_from_world[0, :3]
-    walk.go(1.0, 0.0, 0.0)
-    assert np.allclose(walk.eye, right, atol=1e-12)
-    walk.turn(100.0, 0.0)  # the world follows the pointer to the right: one looks to the left
-    left = walk.camera((10, 10)).camera_from_world[2, :3]
-    assert left @ right < -0.3
-    walk.go(0.0, 2.0, 3.0)
-    assert np.allclose(walk.eye, right + [0, 2, 0] + 3 * left, atol=1e-12)
-    walk.turn(0.0, 1e9)
-    walk.go(1e9, 1e9, 1e9)
-    assert np.isfinite(walk.camera((10, 10)).camera_from_world).all()
 
 
 def test_a_replaced_file_is_shown_where_the_old_one_stood_and_a_broken_one_is_named(

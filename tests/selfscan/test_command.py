@@ -258,7 +258,7 @@ def film(tmp_path_factory):
     """A command that films five seconds of a small avatar, but for -o."""
     path = tmp_path_factory.mktemp("avatar") / "tiny.glb"
     write_avatar(path, tiny_avatar())
-    return f"{SELFSCAN} render {path} --motion walking --frames 0:40 --size 48x48 --encoder software"
+    return f"{SELFSCAN} render {path} --motion walking --frames 0:40 --size 48x48"
 
 
 def test_names_that_are_no_text_and_readers_that_go_are_no_error(film, tmp_path):

@@ -7,7 +7,7 @@ import rigs
 import trimesh
 from node_packages import package_folder, run_node
 from PIL import Image
-from tiny_avatar import same, tiny_avatar, tiny_high_avatar, tiny_level, unit
+from tiny_avatar import same, tiny_avatar, tiny_level, unit
 
 from avatar.gltf import avatar_file
 from avatar.gltf.avatar_file import read_avatar, write_avatar
@@ -45,9 +45,7 @@ LIT = dataclasses.replace(
         tiny_avatar(),
         oracle(),
         tiny_avatar(network=None, default_view="linear"),
-        tiny_high_avatar(),
-        tiny_high_avatar(network=None, default_view="linear"),
-        tiny_high_avatar(linear=None, default_view="off"),
+        tiny_avatar(linear=None, default_view="off"),
         oracle(levels=(LIT,), light=LIGHT),
     ],
 )
@@ -120,21 +118,18 @@ def test_a_plain_viewer_opens_the_finest_level_in_pose_zero(path):
     np.testing.assert_allclose(world_from_node(gltf)[:52, :3, 3], world, atol=1e-12)
 
 
-@pytest.mark.parametrize("avatar, keys", [(tiny_avatar(), ["featureImage"]),
-                                          (tiny_high_avatar(), ["featureImage", "featureImage2"])])  # fmt: skip
-def test_four_features_lie_as_grey_planes_one_below_the_other_in_each_image(path, avatar, keys):
+def test_four_features_lie_as_grey_planes_one_below_the_other(path):
+    avatar = tiny_avatar()
     write_avatar(path, avatar)
     gltf = read_gltf(path)
     for item, level in zip(gltf.json["extensions"]["SELFSCAN_avatar"]["levels"], avatar.levels, strict=True):
-        for first, key in enumerate(keys):
-            image = Image.open(io.BytesIO(gltf.image(item[key])[0]))
-            planes = [level.features[..., i] for i in range(4 * first, 4 * first + 4)]
-            # no color profile, no gamma: nothing for a decoder to apply
-            assert image.mode == "L" and not image.info
-            np.testing.assert_array_equal(np.array(image), np.concatenate(planes))
+        image = Image.open(io.BytesIO(gltf.image(item["featureImage"])[0]))
+        # no color profile, no gamma: nothing for a decoder to apply
+        assert image.mode == "L" and not image.info
+        np.testing.assert_array_equal(np.array(image), np.concatenate([level.features[..., i] for i in range(4)]))
 
 
-@pytest.mark.parametrize("avatar", [tiny_avatar(), oracle(), tiny_high_avatar()])
+@pytest.mark.parametrize("avatar", [tiny_avatar(), oracle()])
 def test_the_khronos_validator_finds_no_error_and_no_warning(path, avatar):
     folder = package_folder("gltf-validator")
     write_avatar(path, avatar)
@@ -156,15 +151,9 @@ def moved_pelvis():
     return joints
 
 
-NETWORK, HIGH = tiny_avatar().network, tiny_high_avatar().network
+NETWORK = tiny_avatar().network
 BROKEN = [
-    (tiny_high_avatar(levels=(tiny_level(features=8), tiny_level(2, faces=3))), r"'levels\[1\].features': 4"),
-    (tiny_high_avatar(network=dataclasses.replace(HIGH, b3=None)), r"network.b3 should be an array"),
-    (tiny_avatar(network=dataclasses.replace(NETWORK, b3=HIGH.b3)), r"network.b3 should be absent where w3 is"),
-    (tiny_high_avatar(network=dataclasses.replace(HIGH, w1=NETWORK.w1)), r"network.w1 should be float32 \(16, 12\)"),
-    (tiny_high_avatar(network=dataclasses.replace(HIGH, b2=np.full(16, np.inf, "f4"))), r"network.b2 should be finite"),
-    (oracle(levels=(tiny_level(features=5),)), r"levels\[0\].features should be 4 or 8 a texel, are 5"),
-    (tiny_avatar(linear=np.zeros((5, 3, 3), "f4")), "linear should be 4 or 8 matrices"),
+    (tiny_avatar(network=dataclasses.replace(NETWORK, b2=np.full(3, np.inf, "f4"))), r"network.b2 should be finite"),
     (changed("normals", 2, 0), r"levels\[0\].normals should be of unit length, is .* in row 2"),
     (changed("view_q", 1, [-1, 0, 0, 0, 0, 0]), r"levels\[0\].view_q should be positive semi-definite"),
     (changed("view_q", 1, [1, 2, 0, 1, 0, 0]), r"levels\[0\].view_q should be positive semi-definite"),

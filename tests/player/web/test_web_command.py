@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tiny_avatar import tiny_avatar, tiny_high_avatar
+from tiny_avatar import tiny_avatar
 
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.clip import Clip
@@ -40,7 +40,6 @@ def test_programs_are_those_of_the_view_modes_without_effects():
     bare = tiny_avatar()
     level = dataclasses.replace(bare.levels[0], features=None)
     assert list(programs(dataclasses.replace(bare, levels=(level,), default_view="off"))) == ["off"]
-    assert "more_features" in programs(tiny_high_avatar())["network"]["fragment"]
     assert page.filled("<@A@ at@home @B@>", {"A": "@B@", "B": "x"}) == "<@B@ at@home x>"
     assert "</script" not in page.json_element({"name": "</script><b>"})
 

@@ -117,8 +117,8 @@ def test_textures_arrive_to_the_byte(page):
       gl.bindFramebuffer(gl.FRAMEBUFFER, into);
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture.texture, 0);
       const pixels = selfscan.drawing.pixels(into, ...texture.size);
-      const out = new Uint8Array(pixels.length + features[0].length);
-      out.set(pixels); out.set(features[0], pixels.length);
+      const out = new Uint8Array(pixels.length + features.length);
+      out.set(pixels); out.set(features, pixels.length);
       return out; })()"""
     data, level = tab.bytes(code), avatar.levels[0]
     height, width, _ = level.base_color.shape
