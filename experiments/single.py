@@ -40,7 +40,7 @@ from train.networks.hash import HashNetworks
 from train.networks.paper import PaperNetworks
 from train.networks.triplane import TriPlaneNetworks
 from train.objective import RayTensors, ray_tensors
-from train.part_job import PartJob, Untrained, job_preview, ray_settings
+from train.part_job import PartJob, Untrained, ray_settings
 from train.preset import PartPreset, Preset, chosen_preset, without
 from train.rays import FilmedPart, part_rays
 from train.run import build_field, matrix_of, read_facts, read_part, write_part
@@ -80,17 +80,13 @@ def single_part(preset: Preset) -> PartPreset:
 
 
 def single_untrained(preset: Preset, job: PartJob, capture: Capture, prepared: Callable[[float], None]) -> Untrained:
-    """The single network, untrained, and the rays of all four videos; its preview is the body's.
-
-    `preset` is the four parts'.
-    """
+    """The single network, untrained, and the rays of all four videos; `preset` is the four parts'."""
     device = torch.device(job.device)
     frames = sum(len(video.images) for video in capture.videos.values())
     rays, cloud, flagged, lost = single_rays(job, capture, preset, prepared)
     template = single_template(capture, cloud, job.settings.cell)
     field = build_field(capture.subject, 0, job.settings, template, frames).to(device)
-    body = FilmedPart(part_boxes(capture.subject)[0], capture.videos["body"], capture.subject, cloud)
-    return Untrained(field, rays, flagged, lost, job_preview(job, body))
+    return Untrained(field, rays, flagged, lost)
 
 
 def single_rays(

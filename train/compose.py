@@ -97,8 +97,6 @@ class Composition:
     surface: Surface
     # that the surface shows; None: the head's field as it was learned
     eyes: OpenEyes | None
-    # each part's own statistics
-    tables: list[ViewStatistics]
     # what run.json says of it
     facts: dict[str, Any]
 
@@ -161,7 +159,7 @@ def compose(
             )  # fmt: skip
             facts["appearance"] = match_appearances(fused, rays, surface.vertices, tables, steps, say)
     fused.cpu()
-    return Composition(surface, fused.eyes, tables, facts)
+    return Composition(surface, fused.eyes, facts)
 
 
 def placement_facts(head: HeadPlacement, canonical_from_head_field: Float[Array, "4 4"]) -> dict[str, Any]:

@@ -177,8 +177,6 @@ class Rendered(NamedTuple):
     color: Float[Tensor, "b 3"]  # on black
     # opacity = 1 - exp of it
     log_transmittance: Float[Tensor, "b"]
-    # each shaded section's; rows sum to 1
-    share: Float[Tensor, "b k"]
     ends: Float[Tensor, "b ends 3"]  # canonical, after T_nr
     distance: Float[Tensor, "b ends"]  # F_s there
     # points that were given a color, b k of them
@@ -230,7 +228,7 @@ def render_rays(
     color = section_colors(field, rays, chosen, section, points, sample, gradient)
     share = top / (top.sum(1, keepdim=True) + 1e-8)
     shown = (share[..., None] * color).sum(1) * opacity[:, None]
-    return Rendered(shown, rendered.log_transmittance, share, ends, distance, points, sample.distance, gradient,
+    return Rendered(shown, rendered.log_transmittance, ends, distance, points, sample.distance, gradient,
                     moved.reshape(-1, 3))  # fmt: skip
 
 
@@ -249,8 +247,7 @@ def _render_density(
     sections = torch.arange(count, device=points.device).expand(size, -1)
     color = section_colors(field, rays, chosen, sections, flat, sample, gradient)
     shown = (rendered.weights[..., None] * color).sum(1)
-    share = rendered.weights / (rendered.weights.sum(1, keepdim=True) + 1e-8)
-    return Rendered(shown, rendered.log_transmittance, share, points, distance, flat, sample.distance, gradient,
+    return Rendered(shown, rendered.log_transmittance, points, distance, flat, sample.distance, gradient,
                     moved.reshape(-1, 3))  # fmt: skip
 
 

@@ -29,7 +29,6 @@ from train.objective import RayTensors, StepReport, ray_tensors
 from train.pose_correction import PoseCorrection
 from train.prefit import fit_template
 from train.preset import PartPreset, Preset
-from train.preview import Preview, part_preview
 from train.rays import FilmedPart, RaySettings, part_rays
 from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, Position, Watch, peak_memory, train_field
@@ -46,7 +45,6 @@ class Untrained(NamedTuple):
     rays: RayTensors
     flagged: float  # share of the rays left out as ambiguous
     lost: float  # share of the person's pixels whose ray meets no template
-    preview: Preview | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +55,7 @@ class PartJob:
     index: int  # into the preset's parts
     preset: Preset
     canonical_from_head: Array
-    # gets the part, its checkpoints, logs and previews; holds the template and what was refined
+    # gets the part, its checkpoints and logs; holds the template and what was refined
     folder: str
     device: str
     threads: int
@@ -67,8 +65,6 @@ class PartJob:
     seed: int = 0
     resume: bool = False
     save_every: float = 120.0  # seconds between checkpoints
-    # steps between previews; 0: none
-    preview_every: int = 0
     # videos that it learns from; None: the part's own
     videos: tuple[str, ...] | None = None
     # what makes the part; None: `part_untrained`
@@ -174,7 +170,7 @@ def _trained(job: PartJob, part: Untrained, reporter: Reporter) -> tuple[Positio
         train_field(
             part.field, part.rays, FieldTraining(part=job.settings, preset=job.preset, seed=job.seed, ranks=job.ranks),
             checkpoints=Checkpoints(path=folder / f"{job.name}.ckpt", resume=job.resume, every=job.save_every),
-            watch=Watch(report=report, log=log, preview=part.preview), at=at,
+            watch=Watch(report=report, log=log), at=at,
         )  # fmt: skip
     finally:
         if log is not None:
@@ -214,7 +210,7 @@ def part_untrained(job: PartJob, capture: Capture, prepared: Callable[[float], N
     if name != "body":
         chosen = replace(chosen, per_frame=min(chosen.per_frame, asked))
     rays = part_rays(filmed, chosen, generator, prepared)
-    return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost, job_preview(job, filmed))
+    return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost)
 
 
 def template_field(
@@ -235,15 +231,6 @@ def ray_settings(part: PartPreset, preset: Preset) -> RaySettings:
     return RaySettings(
         band=part.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame, background=part.background
     )
-
-
-def job_preview(job: PartJob, filmed: FilmedPart) -> Preview | None:
-    """What draws the part while it learns; None where none was asked for."""
-    if not (job.preview_every and job.ranks.writes):
-        return None
-    path = Path(job.folder) / "preview" / f"{job.name}.png"
-    settings = ray_settings(job.settings, job.preset)
-    return part_preview(path, filmed, settings, torch.device(job.device), job.preview_every)
 
 
 def step_note(step: StepReport) -> str:

@@ -16,7 +16,6 @@ from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject, read_subject
 from capture.template.parts import part_boxes
-from capture.template.views import ViewStatistics
 from command.errors import AssetError
 from command.settings import SettingsSource, record_of
 from files.input_file import read_json
@@ -140,21 +139,10 @@ def read_eyes(path: Path) -> OpenEyes | None:
     return OpenEyes(values, share, low, float(cell))
 
 
-def write_codes(path: Path, fields: dict[str, PartField]) -> None:
-    """codes.npz: of each part the mean of its trained appearance codes and the one matched to the body (Eq. 8)."""
-    codes = {}
-    for name, field in fields.items():
-        codes[f"{name}_mean"] = field.appearance.weight.detach().mean(0).numpy()
-        codes[f"{name}_matched"] = field.reference.numpy()
-    np.savez(path, **codes)
-
-
-def write_surface(path: Path, surface: Surface, per_part: list[ViewStatistics]) -> None:
-    """surface.npz: the mesh, the fused view statistics, and each part's own beside them."""
+def write_surface(path: Path, surface: Surface) -> None:
+    """surface.npz: the mesh and the fused view statistics."""
     fields = vars(surface) | {f"skin_{name}": values for name, values in surface.skin._asdict().items()}
     arrays = {name: fields[name].astype(dtype) for name, (dtype, _) in SURFACE.items()}
-    for part, table in zip(PARTS, per_part):
-        arrays |= {f"{part}_view_{name}": values.astype("f4") for name, values in table._asdict().items()}
     with open(path, "wb") as file:
         np.savez(file, **arrays)
 

@@ -36,7 +36,6 @@ from train.compose import HeadPlacement, TrainedParts, compose, consistent_place
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
 from train.light import VideoLight, video_light
-from train.log import tensorboard_installed
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset, chosen_preset
 from train.seen import seen_parts
@@ -105,8 +104,8 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
     """Train all parts, compose them, and write the run folder; `preset` replaces the one that the options name.
 
     Parts learn independently (stage 1), two at a time on a CPU with two cores, each on its own thread; under
-    torchrun one after the other, each on all ranks. Checkpoints, logs and previews lie beside the run folder, in
-    RUN.partial, until the run is complete. A signal raises `Stopped` once they are saved.
+    torchrun one after the other, each on all ranks. Checkpoints and logs lie beside the run folder, in RUN.partial,
+    until the run is complete. A signal raises `Stopped` once they are saved.
     """
     with ExitStack() as held:
         training = begin(options, chosen_preset(options) if preset is None else preset, held)
@@ -141,13 +140,11 @@ def begin(
     if session is None:
         return None
     began = Clocks.now()
-    if ranks.writes and preset.learns and not tensorboard_installed():
-        say("logs: CSV only; `pip install tensorboard` adds events for it")
     head = landmark_placement(_register_landmarks(capture, say))
     if preset.learns:
         names = ", ".join(preset.names)
         say(f"stage 1: {names} by volume rendering of signed distance (Eq. 10-12), preset {preset.name}")
-        say(f"logs, previews and checkpoints: {session.partial}")
+        say(f"logs and checkpoints: {session.partial}")
     else:
         say("a first avatar: the template as carved, in the colors that the videos show; nothing is learned")
     return Training(options, preset, capture, session, ranks, device, head, say, began)
@@ -203,14 +200,12 @@ def finish(training: Training, facts: dict[str, dict]) -> None:
         )  # fmt: skip
         if meets:
             shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
-        run_folder.write_codes(folder / "codes.npz", dict(zip(preset.names, fields)))
         for name, field in zip(preset.names, fields):
             run_folder.write_part(folder / f"{name}.pt", field)
         copy_refined(partial, folder)
-        for name in ("logs", "preview"):
-            if (partial / name).is_dir():
-                shutil.copytree(partial / name, folder / name)
-        run_folder.write_surface(folder / "surface.npz", person.surface, person.tables)
+        if (partial / "logs").is_dir():
+            shutil.copytree(partial / "logs", folder / "logs")
+        run_folder.write_surface(folder / "surface.npz", person.surface)
         if person.eyes is not None:
             run_folder.write_eyes(folder / "eyes.npz", person.eyes)
         shutil.copyfile(partial / "subject.npz", folder / "subject.npz")
@@ -363,7 +358,7 @@ def part_job(training: Training, folder: Path, index: int) -> PartJob:
         capture=str(training.capture.path), index=index, preset=training.preset, canonical_from_head=place,
         folder=str(folder), device=training.device, threads=1, ranks=training.ranks, seed=options.seed,
         light=training.video_light(PARTS[index], place), resume=training.session.resumed,
-        save_every=options.save_every, preview_every=options.preview,
+        save_every=options.save_every,
     )  # fmt: skip
 
 

@@ -19,7 +19,6 @@ from train.log import TrainingLog
 from train.networks import FeatureGrid
 from train.objective import Batch, Extra, RayTensors, StepReport, beta_at, choose_rays, losses, rho_at
 from train.preset import PartPreset, Preset
-from train.preview import Preview
 
 REPORT_EVERY = 10  # steps between rows of the log
 
@@ -86,7 +85,6 @@ class Watch:
     # takes the step and its numbers
     report: Callable[[int, StepReport], None] | None = None
     log: TrainingLog | None = None
-    preview: Preview | None = None
 
 
 UNSAVED, UNWATCHED = Checkpoints(), Watch()
@@ -199,8 +197,8 @@ class _Steps:
         self.generator = torch.Generator(device="cpu").manual_seed(training.seed)
         self.weight = training.ranks.weight(training.preset.rays)
         self.frame_counts = torch.bincount(rays.frame).cpu()
-        # against its first value, and metres: as the last step had them
-        self.rate = self.beta = 0.0
+        # against its first value, as the last step had it
+        self.rate = 0.0
 
     def take(self, iteration: int, stop: bool) -> tuple[bool, Callable[[], StepReport], bool]:
         """One step: whether it was finite, what describes it, and whether any rank wants to `stop`."""
@@ -216,8 +214,7 @@ class _Steps:
         chosen = choose_rays(self.frame_counts, preset, self.generator)
         u = torch.rand(preset.rays, generator=self.generator)
         chosen, u = (ranks.share(drawn).to(self.rays.ends.device) for drawn in (chosen, u))
-        self.beta = beta_at(rung, part, preset)
-        batch = Batch(chosen, u, self.beta, rho_at(rung, part))
+        batch = Batch(chosen, u, beta_at(rung, part, preset), rho_at(rung, part))
         loss, describe = losses(self.field, self.rays, batch, part, preset, extra=self.training.extra)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -230,8 +227,8 @@ class _Steps:
 
 
 def _show(steps: _Steps, watch: Watch, describe: Callable[[], StepReport], iteration: int, seconds: float) -> None:
-    """Log, report and draw a step that was taken, where it is its turn."""
-    training, log, preview = steps.training, watch.log, watch.preview
+    """Log and report a step that was taken, where it is its turn."""
+    training, log = steps.training, watch.log
     last = iteration == training.part.iterations
     if (log is not None or watch.report is not None) and (iteration % REPORT_EVERY == 0 or last):
         ranks = training.ranks
@@ -240,10 +237,6 @@ def _show(steps: _Steps, watch: Watch, describe: Callable[[], StepReport], itera
             log.row(iteration, seconds, steps.rate, vars(step))
         if watch.report is not None:
             watch.report(iteration, step)
-    if preview is not None and (iteration % preview.every == 0 or last):
-        image = preview.draw(steps.field, steps.beta, training.preset)
-        if log is not None:
-            log.image(iteration, image)
 
 
 @contextmanager

@@ -13,14 +13,14 @@ BUDGET = {
     "avatar": 8_446,
     "geometry": 1_728,
     "capture": 11_830,
-    "train": 5_693,
+    "train": 5_465,
     "bake": 4_599,
     "player": 18_765,
     "shaders": 1_036,
     "synth": 2_688,
     "bench": 5_853,
     "selfscan": 432,
-    "tests": 35_885,
+    "tests": 35_833,
 }
 
 

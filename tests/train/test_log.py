@@ -1,13 +1,11 @@
-"""Training logs: CSV that survives resuming, TensorBoard events, and life without TensorBoard."""
+"""Training logs: CSV that survives resuming."""
 
 import csv
-import sys
 
-import numpy as np
 import pytest
 
 from command.errors import AssetError
-from train.log import TrainingLog, tensorboard_installed
+from train.log import TrainingLog
 
 
 def read(path):
@@ -55,30 +53,3 @@ def test_a_log_with_other_columns_is_refused(tmp_path):
     with pytest.raises(AssetError, match=r"head\.csv: columns should be"):
         log.row(20, 1.0, 1.0, {"loss": 1.0})
     log.close()
-
-
-@pytest.mark.skipif(not tensorboard_installed(), reason="tensorboard is not installed")
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # TensorBoard's own reader
-def test_tensorboard_reads_what_was_logged_and_resumed(tmp_path):
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    log_steps(tmp_path, 0, [10, 20, 30])
-    log = TrainingLog(tmp_path, "head")
-    log.begin(20)
-    log.row(30, 4.0, 0.5, {"loss": 0.25, "psnr": 1.0})
-    log.image(30, np.full((4, 6, 3), 200, np.uint8))
-    log.close()
-    events = EventAccumulator(str(tmp_path / "events" / "head"))
-    events.Reload()
-    assert [(e.step, e.value) for e in events.Scalars("loss")][-1] == (30, 0.25)
-    assert [e.step for e in events.Scalars("loss")] == [10, 20, 30]  # the row taken again replaced the old one
-    assert (events.Images("preview")[0].width, events.Images("preview")[0].height) == (6, 4)
-
-
-def test_without_tensorboard_the_csv_is_the_same(tmp_path, monkeypatch):
-    log_steps(tmp_path / "with", 0, [10, 20])
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    assert not tensorboard_installed()
-    log_steps(tmp_path / "without", 0, [10, 20])
-    assert read(tmp_path / "with/head.csv") == read(tmp_path / "without/head.csv")
-    assert not (tmp_path / "without" / "events").exists()

@@ -78,7 +78,7 @@ def never_stopped(tiny_capture, tmp_path_factory) -> Path:
 
 
 def assert_equal_runs(run: Path, other: Path) -> None:
-    """The same bits in every weight; the same rows in every log, times apart; the same last preview."""
+    """The same bits in every weight; the same rows in every log, times apart."""
     for name in HANDS:
         one, two = (torch.load(folder / f"{name}.pt", weights_only=True)["state"] for folder in (run, other))
         assert one.keys() == two.keys()
@@ -88,8 +88,6 @@ def assert_equal_runs(run: Path, other: Path) -> None:
         assert [row["step"] for row in logs[1]] == [str(step) for step in range(10, 241, 10)]
         for first, second in zip(*logs, strict=True):
             assert {**first, "seconds": ""} == {**second, "seconds": ""}
-        previews = [(folder / f"preview/{name}.png").read_bytes() for folder in (run, other)]
-        assert previews[0] == previews[1]
 
 
 @pytest.mark.slow

@@ -49,8 +49,8 @@ def by(**changes):
 
 
 def trained(capture, out, *options):
-    """The run of a training with these options, without previews."""
-    return run_folder.read_run(tiny_training(capture.path, out, "--preview", "0", *options))
+    """The run of a training with these options."""
+    return run_folder.read_run(tiny_training(capture.path, out, *options))
 
 
 @pytest.fixture
@@ -202,7 +202,7 @@ def test_a_run_from_capture_to_fused_field(own_run):
     assert run.provenance["cpu_seconds"] > parts > 0 and run.provenance["resumed"] is False
     assert run.provenance["body_licence"] == "a licence of the body's own"
     assert run.provenance["subject_licence"] == "not stated by the capture"
-    assert (run.path / "preview" / "head.png").exists() and (run.path / "logs" / "hand_left.csv").exists()
+    assert (run.path / "logs" / "hand_left.csv").exists()
 
     (run.path / "hand_left.pt").write_bytes(b"not a part")
     with pytest.raises(AssetError, match=r"hand_left\.pt: expected a trained part"):

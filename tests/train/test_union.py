@@ -272,16 +272,11 @@ def run(tiny_run):
     return read_run(tiny_run)
 
 
-def test_stage_2_brings_the_body_nearer_to_every_part_and_the_run_keeps_both_bodies(run):
+def test_stage_2_brings_the_body_nearer_to_every_part(run):
     union = json.loads((run.path / "run.json").read_text("utf-8"))["union"]
     assert set(union["step_mm_after"]) == {"head", "hand_left", "hand_right"}
     for name, after in union["step_mm_after"].items():
         assert after < union["step_mm_before"][name], name
-    codes = np.load(run.path / "codes.npz")
-    for index, name in enumerate(("body", "head", "hand_left", "hand_right")):
-        field = run.field.field(index)
-        np.testing.assert_allclose(codes[f"{name}_mean"], field.appearance.weight.mean(0).numpy(), atol=1e-7)
-        np.testing.assert_array_equal(codes[f"{name}_matched"], field.reference.numpy())
 
 
 @pytest.mark.slow
