@@ -4,12 +4,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from numpy import ndarray as Array
-from PIL import Image
 
 from avatar.camera import project
-from avatar.skeleton import PARTS
 from capture.check.coverage import camera_directions
 from capture.check.silhouette import canonical_from_head
 from capture.folder import Capture
@@ -23,10 +21,6 @@ FRONT = 40.0
 ROUND = 0.003
 # share of the median contrast of the eyes in the other frames: under it the lids look closed
 CLOSED = 0.45
-# pixels of a close-up
-SIDE = 512
-# degrees to either side that close-ups are looked for at
-TURNED = 35.0
 
 
 @dataclass(frozen=True)
@@ -41,8 +35,6 @@ class FaceReport:
     edge: float
     # frames in which both lids look closed
     closed: tuple[int, ...]
-    # the frame from the front, and from either side
-    shown: tuple[int, ...]
 
 
 class _Look(NamedTuple):
@@ -73,7 +65,7 @@ def face_report(capture: Capture) -> FaceReport | None:
             if found is not None:
                 looks.append(found)
     if not looks:
-        return FaceReport(0, float("nan"), float("nan"), float("nan"), (), ())
+        return FaceReport(0, float("nan"), float("nan"), float("nan"), ())
     seen = sorted({look.frame for look in looks})
     # the wider open eye of a frame: the other one may lie behind the nose
     contrast = {frame: max(look.contrast for look in looks if look.frame == frame) for frame in seen}
@@ -85,7 +77,6 @@ def face_report(capture: Capture) -> FaceReport | None:
         iris=IRIS / pixel,
         edge=float(np.median([look.edge for look in looks])),
         closed=tuple(frame for frame in seen if contrast[frame] < CLOSED * usual),
-        shown=tuple(int(np.abs(turns - wanted).argmin()) for wanted in (0.0, -TURNED, TURNED)),
     )
 
 
@@ -107,25 +98,6 @@ def _look(capture: Capture, frame: int, opening: Float[Array, "n 3"], scale: flo
     slopes = np.gradient(grey)
     steepest = float(np.percentile(np.hypot(*slopes), 98))
     return _Look(frame, pixel, float(bright - dark), float(bright - dark) / max(steepest, 1e-6))
-
-
-def close_ups(capture: Capture, report: FaceReport) -> UInt8[Array, "height width 3"]:
-    """The face from the front and from either side, each SIDE pixels wide, as the video shows it."""
-    video, to_head = capture.videos["head"], np.linalg.inv(canonical_from_head(capture))
-    head = capture.subject.vertices[(capture.subject.part == PARTS.index("head")) & ~capture.subject.hair]
-    face = head[head[:, 1] > np.percentile(head[:, 1], 20)] @ to_head[:3, :3].T + to_head[:3, 3]
-    pictures = []
-    for frame in report.shown:
-        pixels, _ = project(video.cameras[frame], face)
-        middle, side = 0.5 * (pixels.min(0) + pixels.max(0)), 1.05 * float(np.ptp(pixels, axis=0).max())
-        image = video.images[frame]
-        # darkened beside the person
-        picture = Image.fromarray(np.where(video.masks[frame, ..., None], image, image // 2))
-        low, side = middle - side / 2, min(side, *picture.size)
-        x, y = (float(np.clip(low[i], 0, picture.size[i] - side)) for i in (0, 1))
-        picture = picture.resize((SIDE, SIDE), Image.Resampling.BICUBIC, (x, y, x + side, y + side))
-        pictures.append(np.asarray(picture))
-    return np.hstack(pictures)
 
 
 def face_line(report: FaceReport) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from capture.keypoints.record import FACE, Keypoints, checked, hand_points, keypoints_of, largest, number, triples
+from capture.keypoints.record import FACE, Keypoints, checked, hand_points, keypoints_of_people, number, triples
 from command.errors import AssetError
 
 BODY_17 = (
@@ -25,7 +25,6 @@ BODY_17 = (
 FEET = "left_big_toe left_small_toe left_heel right_big_toe right_small_toe right_heel".split()
 NAMES = (*BODY_17, *FEET, *FACE, *hand_points("left"), *hand_points("right"))
 GROUPS = (("keypoints", 17), ("foot_kpts", 6), ("face_kpts", 68), ("lefthand_kpts", 21), ("righthand_kpts", 21))
-MOST_FRAMES = 1_000_000
 
 
 def is_wholebody(content: Any) -> bool:
@@ -36,7 +35,7 @@ def is_wholebody(content: Any) -> bool:
     return isinstance(first, dict) and "keypoints" in first
 
 
-def wholebody_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Keypoints:
+def wholebody_keypoints(frames: list[tuple[Path, Any]]) -> Keypoints:
     """The record of parsed files: one that holds all frames, or one a frame, in order.
 
     Raises:
@@ -45,18 +44,7 @@ def wholebody_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Key
     pictures: list[list[Float[Array, "133 3"]]] = []
     for path, content in frames:
         pictures += _pictures(path, content, one=len(frames) > 1)
-    if not 0 < len(pictures) <= MOST_FRAMES or not any(pictures):
-        raise AssetError(f"{frames[0][0]}: no person in any of {len(pictures)} frames")
-    rows = np.zeros((len(pictures), len(NAMES), 3))
-    others = np.zeros(len(rows))
-    for k, people in enumerate(pictures):
-        if people:
-            rows[k], others[k] = largest(people, notes)
-    empty = sum(not people for people in pictures)
-    if empty:
-        notes.append(f"no person in {empty} of {len(pictures)} frames")
-    rows[:, :, :2] += 0.5
-    return keypoints_of(NAMES, rows, None, notes, others)
+    return keypoints_of_people(frames[0][0], NAMES, pictures)
 
 
 def _pictures(path: Path, content: Any, *, one: bool) -> list[list[Float[Array, "133 3"]]]:
