@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_280,
     "avatar": 8_446,
     "geometry": 1_728,
-    "capture": 11_665,
+    "capture": 11_518,
     "train": 5_465,
     "bake": 4_599,
     "player": 18_765,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_688,
     "bench": 5_853,
     "selfscan": 432,
-    "tests": 35_748,
+    "tests": 35_730,
 }
 
 

@@ -27,7 +27,7 @@ from command.errors import AssetError
 
 def imported(own, out, body, **changes):
     paths = {"source": own.root, "head": own.head, "landmarks": own.landmarks, "masks": own.masks} | changes
-    return import_easymocap(paths.pop("source"), out, body=body, **paths)
+    return import_easymocap(paths.pop("source"), out, body=body, most=100, **paths)
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def test_a_hand_of_another_shape_keeps_its_wrist(damaged, body, tmp_path):
 
 
 def test_a_model_in_text_and_annots_and_rodrigues_are_read_alike(source, damaged, body, tmp_path):
-    head = write_colmap(source, tmp_path / "text", binary=False, model="OPENCV")
+    head = write_colmap(source, tmp_path / "opencv", model="OPENCV")
     for file in sorted((damaged.root / "body/smpl").iterdir()):
         file.write_text(json.dumps({"annots": json.loads(file.read_text())}))
     (damaged.root / "hand_left/output/smpl").mkdir(parents=True)
@@ -164,7 +164,7 @@ def swap_sides(pixels):
 
 
 def metres_to_millimetres(own):
-    _, matrices = read_opencv_yaml(own.root / "hand_left/extri.yml")
+    matrices = read_opencv_yaml(own.root / "hand_left/extri.yml")
     text = (own.root / "hand_left/extri.yml").read_text().split("T_01:")[0]
     (own.root / "hand_left/extri.yml").write_text(text + opencv_matrix("T_01", 1000 * matrices["T_01"]))
 
