@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from io import TextIOBase
 from typing import NamedTuple, TextIO, TypeVar
 
@@ -81,18 +82,31 @@ class _Job:
     # time and count of its first report: preparation is over
     first: tuple[float, int] | None = None
     last: tuple[float, int] | None = None
-    ended: float | None = None
+    ended: bool = False
     # share of the preparation that is done, in [0, 1]
     prepared: float = 0.0
     note: str = ""
+
+    @property
+    def rate(self) -> float | None:
+        """Seconds per count, or None before there are two reports."""
+        if self.first is None or self.last is None or self.last[1] <= self.first[1]:
+            return None
+        return (self.last[0] - self.first[0]) / (self.last[1] - self.first[1])
+
+    def left(self, now: float) -> float | None:
+        """Seconds until it is done, by its own rate."""
+        if self.rate is None or self.last is None:
+            return None
+        return max((self.total - self.last[1]) * self.rate - (now - self.last[0]), 0.0)
 
 
 class ProgressBoard:
     """Jobs that run side by side: one line each while at work, and one for all of them with the time left.
 
     On a terminal the lines are redrawn in place; elsewhere they are printed about every ten seconds. The time
-    left assumes that jobs not yet begun are as fast per count as those seen, wait for one of `workers`, and
-    that what follows the jobs takes the share `after` of their time.
+    left assumes that jobs without a speed yet are as fast per count as the others, that jobs wait for one of
+    `workers`, and that what follows them takes the share `after` of their time; preparations to come are left out.
     """
 
     def __init__(
@@ -122,9 +136,11 @@ class ProgressBoard:
         self.refresh()
 
     def end(self, name: str) -> None:
-        job = self.jobs[name]
-        job.ended = self.clock()
-        job.began = job.ended if job.began is None else job.began
+        self.jobs[name].ended = True
+
+    def reporter(self, name: str) -> "Reporter":
+        """What a job reports by to this board."""
+        return Reporter(self.say, partial(self.update, name), partial(self.prepare, name))
 
     def say(self, text: str) -> None:
         """A line that stays, above the others, on standard output."""
@@ -153,14 +169,14 @@ class ProgressBoard:
         """What is shown now."""
         out, width = [], max(len(name) for name in self.jobs)
         for name, job in self.jobs.items():
-            if job.began is None or job.ended is not None:
+            if job.began is None or job.ended:
                 continue
             if job.last is None:
                 spent = self.clock() - job.began
                 left = None if job.prepared <= 0 else spent / job.prepared - spent
                 out.append(f"{name:<{width}}  preparing, {clock_time(spent)} so far, {_left_text(left)}")
                 continue
-            left = self._left(job)
+            left = job.left(self.clock())
             line = f"{name:<{width}}  {_bar(job.last[1] / max(job.total, 1))} {job.last[1]}/{job.total}"
             out.append(f"{line}  {_left_text(left)}  {job.note}".rstrip())
         left, spent = self.left(), self.clock() - self.began
@@ -170,46 +186,18 @@ class ProgressBoard:
 
     def left(self) -> float | None:
         """Seconds until everything is done, or None before the first job has a speed."""
-        jobs = self.jobs.values()
-        rates = [rate for rate in map(self._rate, jobs) if rate is not None]
-        preparations = [job.first[0] - job.began for job in jobs if job.first is not None and job.began is not None]
-        if all(job.ended is not None for job in jobs):
-            rates = rates or [0.0]
-        if not rates:
+        now, open_ = self.clock(), [job for job in self.jobs.values() if not job.ended]
+        rates = [rate for rate in (job.rate for job in self.jobs.values()) if rate is not None]
+        if open_ and not rates:
             return None
-        rate = sum(rates) / len(rates)
-        preparation = sum(preparations) / max(len(preparations), 1)
-        # seconds of each job still to begin; when each worker is free
-        waiting, free = [], []
-        for job in jobs:
-            if job.ended is not None:
-                continue
-            if job.began is None:
-                waiting.append(preparation + job.total * rate)
-            elif job.last is None:
-                spent = self.clock() - job.began
-                free.append(max(preparation - spent, 0.0) + job.total * rate)
-            else:
-                own = self._left(job)
-                free.append((job.total - job.last[1]) * rate if own is None else own)
-        free = (free + [0.0] * self.workers)[: max(self.workers, len(free))]
-        heapq.heapify(free)
-        for seconds in waiting:
-            heapq.heapreplace(free, free[0] + seconds)
+        usual = sum(rates) / max(len(rates), 1)
+        # when each worker is free: those at work first
+        free = [0.0] * self.workers
+        for job in sorted(open_, key=lambda job: job.began is None):
+            own = job.left(now)
+            heapq.heapreplace(free, free[0] + (job.total * usual if own is None else own))
         longest = max(free)
-        return longest + self.after * (longest + self.clock() - self.began)
-
-    def _rate(self, job: _Job) -> float | None:
-        """Seconds per count, or None before there are two reports."""
-        if job.first is None or job.last is None or job.last[1] <= job.first[1]:
-            return None
-        return (job.last[0] - job.first[0]) / (job.last[1] - job.first[1])
-
-    def _left(self, job: _Job) -> float | None:
-        rate = self._rate(job)
-        if rate is None or job.last is None:
-            return None
-        return max((job.total - job.last[1]) * rate - (self.clock() - job.last[0]), 0.0)
+        return longest + self.after * (longest + now - self.began)
 
 
 def plural(number: int, noun: str) -> str:

@@ -24,7 +24,7 @@ from files.npz import read_npz
 from train.eye_grid import OpenEyes
 from train.field import PartField
 from train.fused import CanonicalField, FusedField
-from train.light import seen_lights_from_json, seen_tensors
+from train.light import seen_lights_from_json
 from train.preset import PartPreset, Preset
 from train.surface import Surface
 from train.template_grid import TemplateGrid
@@ -255,6 +255,6 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     lights = lights_of(path, facts)
     world = None
     if lights:
-        field.seen = seen_tensors(seen_lights_from_json(f"{path / 'run.json'}: light_seen", facts.get("light_seen")))
+        field.seen = seen_lights_from_json(f"{path / 'run.json'}: light_seen", facts.get("light_seen"))
         world = _light(f"{path / 'run.json'}: light_world", facts.get("light_world"))
     return Run(path, field, read_surface(path / "surface.npz"), subject, preset, facts, lights, world)

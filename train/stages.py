@@ -17,7 +17,8 @@ import torch
 from avatar.light import CaptureLight
 from avatar.similarity import Registration, similarity_from_landmarks
 from avatar.skeleton import PARTS
-from capture.fit.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
+from capture.fit.align import ROUNDS
+from capture.fit.refine import RefineJob, copy_refined, refine_capture, with_learned, with_refined
 from capture.folder import Capture, CaptureSubject, read_capture, write_subject
 from capture.light.fit import fit_capture_light, light_line
 from capture.template.clothes import with_clothes

@@ -272,9 +272,7 @@ class Hollow(FusedField):
 def test_the_surface_is_the_skin_although_the_field_is_hollow_and_a_pinhole_leads_in(capture):
     field = Hollow(capture.subject)
     parts = part_boxes(capture.subject)
-    (vertices, faces), layer = extract_surface(
-        field, parts, capture.subject, body_cell=0.008, head_cell=0.008, hand_cell=0.008
-    )
+    (vertices, faces), layer = extract_surface(field, parts, capture.subject, (0.008, 0.008, 0.008))
     assert not layer.any()
     depth = -field.template(torch.as_tensor(vertices, dtype=torch.float32)).numpy()
     assert len(vertices) > 1000
