@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-from capture.check.face import face_line
 from capture.check.options import CheckCommand
 from capture.check.report import CaptureReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
@@ -79,14 +78,6 @@ def lines(report: CaptureReport, judged: Verdict) -> list[str]:
             f"{part.mean.spread:>11.2f}  {worst:<15} {part.mean.iou:>8.3f} {part.coverage.seen:>5.0%} "
             f"{part.coverage.gap:>3.0f}° {sharp:>7} {clipped:>8.1%}"
         )
-    # side by side: a column is 30 degrees of the turn, a digit the frames there (+ for ten and more)
-    out += ["", "frames by direction of the camera, turning to the right, from above to below:"]
-    out.append("  " + "  ".join(f"{name:<12}" for name in report.parts))
-    sign = lambda n: "." if n == 0 else str(n) if n < 10 else "+"
-    for rows in zip(*(part.coverage.histogram.tolist() for part in report.parts.values())):
-        out.append("  " + "  ".join("".join(map(sign, row)) for row in rows))
-    if report.face is not None:
-        out += ["", face_line(report.face)]
     if report.unseen:
         out += ["", "hardly seen; the avatar gets the color of what lies round it there:"]
         out += [f"  {place.line()}" for place in report.unseen]

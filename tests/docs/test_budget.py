@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_259,
     "avatar": 8_446,
     "geometry": 1_728,
-    "capture": 11_507,
+    "capture": 11_355,
     "train": 5_409,
     "bake": 4_599,
     "player": 18_765,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_688,
     "bench": 5_853,
     "selfscan": 432,
-    "tests": 35_727,
+    "tests": 35_636,
 }
 
 
