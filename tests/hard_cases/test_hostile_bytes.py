@@ -132,8 +132,8 @@ def surface_bytes(folder: Path) -> bytes:
 
 def mediapipe_bytes(_: Path) -> bytes:
     body, left, right, _ = landmarks(np.zeros((1, 52, 3)), builtin_body("male").joints, np.zeros((1, 3)))
-    frame = {"pose_world_landmarks": points(body[0]), "left_hand_landmarks": points(left[0])}
-    return json.dumps({"frames": [frame | {"right_hand_landmarks": points(right[0])}]}).encode()
+    frame = {"pose_world_landmarks": points(body[0]), "left_hand_world_landmarks": points(left[0])}
+    return json.dumps({"frames": [frame | {"right_hand_world_landmarks": points(right[0])}]}).encode()
 
 
 def sam3d_bytes(folder: Path) -> bytes:
