@@ -78,7 +78,7 @@ def read_sam3d_body(path: Path | str, skeleton: RestSkeleton | None = None) -> M
         notes.append("no pred_cam_t: the body stays where its joints are counted from")
     if frames > 1:
         notes.append(f"no frame rate in the files: {ASSUMED_RATE:g} frames per second assumed")
-    rig = MhrRig(path, frames, ASSUMED_RATE, read, skeleton.joints.astype(np.float64))
+    rig = MhrRig(path=path, frames=frames, rate=ASSUMED_RATE, read=read, joints=skeleton.joints.astype(np.float64))
     return retarget(rig, skeleton, up_known=True, assumed=tuple(notes), alignment=rig.alignment)
 
 

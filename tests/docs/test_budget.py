@@ -10,7 +10,7 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_391,
     "command": 1_259,
-    "avatar": 8_381,
+    "avatar": 8_360,
     "geometry": 1_728,
     "capture": 11_355,
     "train": 5_409,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_688,
     "bench": 5_853,
     "selfscan": 432,
-    "tests": 35_610,
+    "tests": 35_606,
 }
 
 
