@@ -122,10 +122,10 @@ class FusedField(nn.Module):
             out.append(total)
         return torch.cat(out)
 
-    def distance(self, points: Float[Tensor, "n 3"], *, grad: bool = False) -> Float[Tensor, "n"]:
+    @torch.no_grad()
+    def distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
         """Signed distance, metres."""
-        with torch.set_grad_enabled(grad):
-            return self.blend(self.shares, self.part_distance, points, width=(), most=65536)
+        return self.blend(self.shares, self.part_distance, points, width=(), most=65536)
 
     def normal(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Unit gradient of the distance: the parts' gradients blended with Eq. 9's weights."""

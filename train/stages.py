@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
@@ -52,20 +52,9 @@ HEAVIEST_FIRST = (1, 0, 2, 3)
 T = TypeVar("T")
 
 
-class Clocks(NamedTuple):
+def clocks() -> np.ndarray:
     """Seconds of the wall clock and of the processor, this process and its finished children together."""
-
-    wall: float
-    processor: float
-
-    @classmethod
-    def now(cls) -> "Clocks":
-        return cls(time.monotonic(), sum(os.times()[:4]))
-
-    def since(self) -> "Clocks":
-        """What has passed."""
-        now = Clocks.now()
-        return Clocks(now.wall - self.wall, now.processor - self.processor)
+    return np.array([time.monotonic(), sum(os.times()[:4])])
 
 
 @dataclass(frozen=True)
@@ -83,7 +72,8 @@ class Training:
     # where the head's video lies on the template before anything is learned
     head: HeadPlacement
     say: Callable[[str], None]
-    began: Clocks
+    # as `clocks` stood
+    began: np.ndarray
     # each video's; empty: light is no factor of its own
     lights: dict[str, CaptureLight] = field(default_factory=dict)
     # what was done to poses and masks, for run.json
@@ -140,7 +130,7 @@ def begin(
     session = ranks.broadcast(session)
     if session is None:
         return None
-    began = Clocks.now()
+    began = clocks()
     head = landmark_placement(_register_landmarks(capture, say))
     if preset.learns:
         names = ", ".join(preset.names)
@@ -210,7 +200,7 @@ def finish(training: Training, facts: dict[str, dict]) -> None:
         if person.eyes is not None:
             run_folder.write_eyes(folder / "eyes.npz", person.eyes)
         shutil.copyfile(partial / "subject.npz", folder / "subject.npz")
-        seconds["all"] = training.began.since().wall
+        seconds["all"] = float((clocks() - training.began)[0])
         run_folder.write_json(folder / "run.json", _run_facts(training, facts, seconds) | person.facts)
     shutil.rmtree(partial, ignore_errors=True)
     memory = memory_text(peak_memory(device))
@@ -235,7 +225,7 @@ def _run_facts(training: Training, parts: dict[str, dict], seconds: dict[str, fl
         "canonical_pose": "hips opened 30 degrees about z (avatar.skeleton.BIG_POSE)",
         "seconds": {name: round(value, 1) for name, value in seconds.items()},
         # with its workers', without other ranks'; of the last sitting, as the seconds are
-        "cpu_seconds": round(training.began.since().processor, 1),
+        "cpu_seconds": round(float((clocks() - training.began)[1]), 1),
         "resumed": training.session.resumed,
         "peak_memory_mb": memory | {"composition": megabytes(peak_memory(training.device))},
         "parts": parts,

@@ -23,7 +23,7 @@ class DirectionField(FusedField):
     def __init__(self):
         torch.nn.Module.__init__(self)
 
-    def distance(self, points, *, grad=False):
+    def distance(self, points):
         return torch.zeros(len(points))
 
     def color(self, points, directions):

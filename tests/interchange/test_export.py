@@ -112,11 +112,10 @@ def test_the_animated_avatar_is_read_back_as_motion_and_as_the_same_avatar(avata
     assert after[: len(before) - 3] == before[: len(before) - 3]  # less its padding
 
 
-def test_a_second_motion_takes_the_place_of_the_first(avatar_path, tmp_path):
+def test_a_file_with_a_motion_takes_no_second_one(avatar_path, tmp_path):
     write_animated(tmp_path / "first.glb", avatar_path, wild_clip(seed=1))
-    write_animated(tmp_path / "second.glb", tmp_path / "first.glb", wild_clip(seed=2))
-    write_animated(tmp_path / "direct.glb", avatar_path, wild_clip(seed=2))
-    assert (tmp_path / "second.glb").read_bytes() == (tmp_path / "direct.glb").read_bytes()
+    with pytest.raises(AssetError, match=r"first\.glb: holds a motion"):
+        write_animated(tmp_path / "second.glb", tmp_path / "first.glb", wild_clip(seed=2))
 
 
 def test_keys_take_the_shorter_arc_and_a_still_joint_has_one(avatar_path, tmp_path):

@@ -262,7 +262,7 @@ class Hollow(FusedField):
         chest = subject.vertices[(np.abs(subject.vertices[:, :2] - [0, 0.3]) < 0.05).all(1), 2]
         self.axis = torch.tensor([0, 0.3, (chest.min() + chest.max()) / 2], dtype=torch.float32)
 
-    def distance(self, points, *, grad=False):
+    def distance(self, points):
         skin = self.template(points)
         hole = 0.008 - (points[:, :2] - self.axis[:2]).norm(dim=1)
         hole = torch.where(points[:, 2] > self.axis[2], hole, -1.0)

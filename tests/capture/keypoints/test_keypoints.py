@@ -69,15 +69,6 @@ def write_results(path, points, unseen):
     return path
 
 
-def write_annotations(path, points, unseen):
-    people = []
-    for frame, flat in wholebody(points, unseen):
-        parts = zip(coco_wholebody.GROUPS, np.split(flat, [17, 23, 91, 112]), strict=True)
-        people.append({"image_id": frame, **{key: part.ravel().tolist() for (key, _), part in parts}})
-    path.write_text(json.dumps({"images": [], "annotations": people}))
-    return path
-
-
 def write_mediapipe(path, points, unseen, told=True):
     frames = []
     for frame in range(FRAMES):
@@ -104,7 +95,6 @@ WRITERS = {
     "openpose": (write_openpose, openpose.NAMES),
     "mmpose": (write_mmpose, coco_wholebody.NAMES),
     "results": (write_results, coco_wholebody.NAMES),
-    "annotations": (write_annotations, coco_wholebody.NAMES),
     "mediapipe": (write_mediapipe, mediapipe.NAMES),
 }
 
