@@ -101,7 +101,7 @@ FILMED = Help(
     "selfscan import video",
     """Videos of one person, as filmed, to a capture folder: frames are chosen, the person is cut from the room, body,
 hands, head and cameras are fitted. Head and hands without a film are cut from the body's, as sharp as they are there.
-Look at the videos first with `selfscan check`. Stopped, it goes on where it was.""",
+Look at the videos first with `selfscan check`. Stopped, it goes on with the frames and masks that it has.""",
     "example: selfscan import video me/body.mp4 me/head.mp4 me/left.mp4 me/right.mp4 --stature 1.78 -o capture",
 )
 RELEASED = Help(
@@ -149,9 +149,7 @@ def _import_video(command: VideoCommand) -> list[str]:
         _detect(keypoints, files, models)
     masks = None if reading.masks == "auto" else Path(reading.masks)
     given = VideoImport(files, keypoints, masks, reading.frames, reading.focal)
-    return import_video(
-        given, command.out, lambda scan, work: fit_scan(scan, sex=reading.sex, stature=reading.stature, work=work)
-    )
+    return import_video(given, command.out, lambda scan: fit_scan(scan, sex=reading.sex, stature=reading.stature))
 
 
 def main(argv: Sequence[str]) -> int:
