@@ -10,7 +10,7 @@ from avatar.camera import project
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.check.coverage import Coverage, coverage
-from capture.check.pictures import Clipping, blurred, exposure, missing, repeated, sharpness
+from capture.check.pictures import Clipping, blurred, exposure, repeated, sharpness
 from capture.check.silhouette import Agreement, TemplateOutline, agreement, outline, posed_template
 from capture.check.unseen import UnseenPlace, frames_that_see, unseen_places
 from capture.folder import Capture
@@ -49,8 +49,6 @@ class PartReport:
     cropped: tuple[int, ...]
     blurred: tuple[int, ...]
     repeated: tuple[int, ...]
-    # numbers that the file names leave out
-    missing: tuple[int, ...]
     exposure: Clipping
     coverage: Coverage
 
@@ -114,7 +112,6 @@ def examine_part(capture: Capture, part: str, head_scale: float, visible: Bool[A
         cropped=tuple(o.frame for o, area in zip(outlines, inside) if area.sum() > area[1:-1, 1:-1].sum()),
         blurred=tuple(blurred(sharp)),
         repeated=tuple(repeated(video.images)),
-        missing=tuple(missing(capture.path / part / "images")),
         exposure=exposure(video.images, video.masks),
         coverage=coverage(capture, part, visible),
     )

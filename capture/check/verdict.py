@@ -52,8 +52,6 @@ def _frames(part: PartReport) -> list[Row]:
     burnt, black, pixel = part.exposure.burnt, part.exposure.black, part.metres_per_pixel
     return [
         (part.frames < FEW, False, f"{plural(part.frames, 'frame')} only", f"take {FEW} or more from it"),
-        (bool(part.missing), False, f"frame numbers are missing: {listed(part.missing)}",
-         "extract the video again, or rename if they were left out on purpose"),
         (bool(part.repeated), len(part.repeated) > SHARE * part.frames,
          f"frames repeat the one before: {listed(part.repeated)}",
          "extract at no more than the video's own rate; poses must skip the same frames"),

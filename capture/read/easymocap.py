@@ -191,13 +191,6 @@ def _head_video(
     frames = spread(len(registered), most)
     chosen = [registered[k] for k in frames]
     notes.append(f"head: {len(chosen)} of {len(registered)} registered frames, {chosen[0].stem} to {chosen[-1].stem}")
-    for image in chosen:
-        size, found = by_name[image.name].size, picture_size(image)
-        if size != found:
-            raise AssetError(f"{image}: should be {size} pixels as COLMAP's camera, is {found}")
-    sizes = {by_name[image.name].size for image in chosen}
-    if len(sizes) > 1:
-        raise AssetError(f"{model}: expected one size of all images, found {sorted(sizes)}")
     seen, vertices = read_pixels(landmarks)
     points, errors = {}, []
     for name, pixels in seen.items():

@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_259,
     "avatar": 8_314,
     "geometry": 1_728,
-    "capture": 11_276,
+    "capture": 11_256,
     "train": 5_399,
     "bake": 4_599,
     "player": 18_765,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_688,
     "bench": 5_853,
     "selfscan": 432,
-    "tests": 35_561,
+    "tests": 35_558,
 }
 
 

@@ -14,7 +14,7 @@ from turning_capture import TURN, with_video
 
 from avatar.similarity import similarity_from_landmarks
 from capture.check.coverage import largest_gap, turn_angles
-from capture.check.pictures import blurred, exposure, missing, repeated, sharpness
+from capture.check.pictures import blurred, exposure, repeated, sharpness
 from capture.check.report import examine, examine_part, report_facts
 from capture.check.verdict import verdict
 from selfscan.__main__ import main
@@ -156,7 +156,7 @@ def test_a_frame_blurred_by_a_pixel_is_named_and_no_other(frame):
     assert blurred(sharp) == [frame] and np.isnan(sharp[3])
 
 
-def test_repeated_missing_and_clipped(tmp_path):
+def test_repeated_and_clipped():
     images = np.full((4, 8, 8, 3), 100, np.uint8)
     images[1] += 1
     assert repeated(images) == [3]
@@ -164,9 +164,6 @@ def test_repeated_missing_and_clipped(tmp_path):
     images[0], images[1, :4] = 255, 0
     assert exposure(images, masks) == (0.25, 0.125)
     assert exposure(images, ~masks) == (0, 0)
-    for number in (3, 4, 7):
-        Image.new("L", (1, 1)).save(tmp_path / f"{number:06d}.png")
-    assert missing(tmp_path) == [5, 6]
 
 
 def test_gaps_of_the_turn():
