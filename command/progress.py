@@ -83,8 +83,6 @@ class _Job:
     first: tuple[float, int] | None = None
     last: tuple[float, int] | None = None
     ended: bool = False
-    # share of the preparation that is done, in [0, 1]
-    prepared: float = 0.0
     note: str = ""
 
     @property
@@ -123,11 +121,6 @@ class ProgressBoard:
     def begin(self, name: str) -> None:
         self.jobs[name].began = self.clock()
 
-    def prepare(self, name: str, share: float) -> None:
-        """So much of what comes before the first count is done."""
-        self.jobs[name].prepared = share
-        self.refresh()
-
     def update(self, name: str, done: int, note: str = "") -> None:
         job, now = self.jobs[name], self.clock()
         if job.first is None:
@@ -140,7 +133,7 @@ class ProgressBoard:
 
     def reporter(self, name: str) -> "Reporter":
         """What a job reports by to this board."""
-        return Reporter(self.say, partial(self.update, name), partial(self.prepare, name))
+        return Reporter(self.say, partial(self.update, name))
 
     def say(self, text: str) -> None:
         """A line that stays, above the others, on standard output."""
@@ -172,9 +165,7 @@ class ProgressBoard:
             if job.began is None or job.ended:
                 continue
             if job.last is None:
-                spent = self.clock() - job.began
-                left = None if job.prepared <= 0 else spent / job.prepared - spent
-                out.append(f"{name:<{width}}  preparing, {clock_time(spent)} so far, {_left_text(left)}")
+                out.append(f"{name:<{width}}  preparing, {clock_time(self.clock() - job.began)} so far")
                 continue
             left = job.left(self.clock())
             line = f"{name:<{width}}  {_bar(job.last[1] / max(job.total, 1))} {job.last[1]}/{job.total}"
@@ -235,5 +226,3 @@ class Reporter(NamedTuple):
     say: Callable[[str], None]  # a line that stays
     # a count and a note, as often as wished
     step: Callable[[int, str], None]
-    # the share in [0, 1] of what comes before the first count
-    prepare: Callable[[float], None] = lambda share: None

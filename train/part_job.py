@@ -34,9 +34,6 @@ from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, Position, Watch, peak_memory, train_field
 from train.union import write_rays
 
-# share of the preparation that the rays take where a template fit follows
-RAYS_SHARE = 0.3
-
 
 class Untrained(NamedTuple):
     """A part before its first step."""
@@ -68,7 +65,7 @@ class PartJob:
     # videos that it learns from; None: the part's own
     videos: tuple[str, ...] | None = None
     # what makes the part; None: `part_untrained`
-    make: Callable[["PartJob", Capture, Callable[[float], None]], Untrained] | None = None
+    make: Callable[["PartJob", Capture], Untrained] | None = None
 
     @property
     def name(self) -> str:
@@ -142,13 +139,11 @@ def _untrained(job: PartJob, capture: Capture, reporter: Reporter) -> Untrained:
     """The part with its rays, its poses where they are learned too, and F_s fitted to the template where it must be."""
     name, folder, preset = job.name, Path(job.folder), job.preset
     prefit = preset.prefit and not (job.resume and (folder / f"{name}.ckpt").exists())
-    rays_prepared = lambda share: reporter.prepare(share * (RAYS_SHARE if prefit else 1))
-    part = (job.make or part_untrained)(job, capture, rays_prepared)
+    part = (job.make or part_untrained)(job, capture)
     if poses_refined(folder, name):
         part.field.poses = PoseCorrection(capture.videos[name], capture.subject).to(part.rays.ends.device)
     if prefit:
-        fitted = lambda share: reporter.prepare(RAYS_SHARE + (1 - RAYS_SHARE) * share)
-        off = fit_template(part.field, preset.prefit, seed=job.seed, done=fitted)
+        off = fit_template(part.field, preset.prefit, seed=job.seed)
         reporter.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
     if name == "body" and job.ranks.writes:
         # for stage 2 and Eq. 8
@@ -190,7 +185,7 @@ def _keep_poses(job: PartJob, field: PartField, rays: RayTensors, video: PartVid
     write_learned(Path(job.folder), job.name, poses.corrected(video))
 
 
-def part_untrained(job: PartJob, capture: Capture, prepared: Callable[[float], None]) -> Untrained:
+def part_untrained(job: PartJob, capture: Capture) -> Untrained:
     """A part's untrained field in its box, and the rays of its video."""
     name, settings, device = job.name, job.settings, torch.device(job.device)
     subject, part, video = capture.subject, part_boxes(capture.subject)[job.index], capture.videos[name]
@@ -209,7 +204,7 @@ def part_untrained(job: PartJob, capture: Capture, prepared: Callable[[float], N
     asked = max(job.preset.rays * settings.iterations // len(video.images), 1000)
     if name != "body":
         chosen = replace(chosen, per_frame=min(chosen.per_frame, asked))
-    rays = part_rays(filmed, chosen, generator, prepared)
+    rays = part_rays(filmed, chosen, generator)
     return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost)
 
 

@@ -1,7 +1,5 @@
 """The start of a geometry network that knows nothing of the template: it learns the template's distance first."""
 
-from collections.abc import Callable
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -11,20 +9,16 @@ from train.field import PartField
 COUNT, RATE = 2048, 5e-4  # points of a step; of Adam, a tenth in the end
 
 
-def fit_template(
-    field: PartField, steps: int, *, seed: int, done: Callable[[float], None] = lambda share: None
-) -> float:
+def fit_template(field: PartField, steps: int, *, seed: int) -> float:
     """Fit F_s to the template's signed distance, mean |F_s - template|; returns the last step's, metres.
 
     Half of the points of a step lie anywhere in the part's box, half are the ones of as many again that lie
-    closest to the template. Without this start, volume rendering of a sphere finds no person in time. `done` is
-    called with the share of the steps done.
+    closest to the template. Without this start, volume rendering of a sphere finds no person in time.
     """
     optimiser = torch.optim.Adam(field.geometry.parameters(), lr=RATE)
     generator = torch.Generator().manual_seed(seed)
     last = float("nan")
     for step in range(steps):
-        done(step / steps)
         for group in optimiser.param_groups:
             group["lr"] = RATE * 0.1 ** (step / steps)
         places = _points(field, generator)

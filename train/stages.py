@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -121,7 +122,7 @@ def begin(
     """
     held.enter_context(prompt_stop())
     ranks, device = join_ranks(options.device)
-    say: Callable[[str], None] = _say if ranks.writes else lambda text: None
+    say: Callable[[str], None] = partial(print, flush=True) if ranks.writes else lambda text: None
     capture, session = read_capture(options.capture), None
     if ranks.writes:
         held.enter_context(exclusive_lock(options.out))
@@ -364,7 +365,3 @@ def train_parts(training: Training, jobs: Sequence[PartJob]) -> dict[str, dict]:
     totals = {name: job.settings.iterations for name, job in by_name.items()}
     board = ProgressBoard(totals, workers, after=AFTER, stream=None if training.ranks.writes else io.StringIO())
     return run_jobs(by_name, train_part, board, workers)
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)

@@ -71,7 +71,9 @@ def extract_surface(
     Raises:
         ValueError: the field has no zero crossing in the box.
     """
-    distance = solid_inside(template_behind_cloth(lambda points: _ask(field, points), subject), subject)
+    to_field = lambda points: torch.as_tensor(points, dtype=torch.float32, device=field.device)
+    asked = lambda points: field.distance(to_field(points)).cpu().numpy()
+    distance = solid_inside(template_behind_cloth(asked, subject), subject)
     axes = grid_axes(parts, cells, field.details())
     thin = [np.unique(np.r_[axis[::4], axis[-1]]) for axis in axes]
     coarse = distance(np.stack(np.meshgrid(*thin, indexing="ij"), -1).reshape(-1, 3))
@@ -103,10 +105,6 @@ def extract_surface(
         pieces += separate_pieces(zero_set_mesh(hair, around), LEAST_HAIR)
     layer = np.concatenate([np.full(len(p.vertices), min(i, HAIR)) for i, p in enumerate(pieces)])
     return concatenated(pieces), layer
-
-
-def _ask(field: FusedField, points: Array) -> Array:
-    return field.distance(torch.as_tensor(points, dtype=torch.float32, device=field.device)).cpu().numpy()
 
 
 def _interpolated(values: Array, old: Array, new: Array, axis: int) -> Array:

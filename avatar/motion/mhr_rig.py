@@ -132,7 +132,8 @@ class MhrRig(AnimatedRig):
             for bone in BONES:
                 joint = NAMES.index(f"{side}_{bone[0]}")
                 bone_way = at[:, _end(side, bone[1])] - places[:, joint]
-                G[:, joint] = along_bone(G[:, joint], bone_way, side)
+                along = unit_or_zero(G[:, joint, :, 0] * sign(side))
+                G[:, joint] = rotation_between(along, unit_or_zero(bone_way)) @ G[:, joint]
             self._share_forearm(G, side)
         return G, places
 
@@ -189,12 +190,6 @@ def palm_frames(at: Float[Array, "frames 127 3"], side: str) -> Float[Array, "fr
     """Frame of the palm: x from the wrist to the middle finger, z towards the forefinger's side."""
     places = {name: at[:, NUMBERS[f"{side}_{name}"][1]] for name in ("wrist", "middle1", "index1", "pinky1")}
     return palm_frame(places["middle1"] - places["wrist"], places["index1"] - places["pinky1"])
-
-
-def along_bone(G: Float[Array, "frames 3 3"], bone: Float[Array, "frames 3"], side: str) -> Float[Array, "frames 3 3"]:
-    """The axes, turned by the least that lays x along the bone."""
-    x = G[:, :, 0] * sign(side)
-    return rotation_between(unit_or_zero(x), unit_or_zero(bone)) @ G
 
 
 def off_bones(

@@ -31,14 +31,12 @@ def test_the_time_left_schedules_what_waits_on_the_workers():
     assert [line.split()[0] for line in board.lines()] == ["all"]
 
 
-def test_preparation_has_a_time_left_once_a_share_of_it_is_done():
+def test_preparation_is_said():
     now = [0.0]
     board = ProgressBoard({"body": 100}, 1, stream=io.StringIO(), clock=lambda: now[0])
     board.begin("body")
     now[0] = 5.0
-    assert board.lines()[0] == "body  preparing, 0:05 so far, time left not known yet"
-    board.prepare("body", 0.25)
-    assert board.lines()[0] == "body  preparing, 0:05 so far, 0:15 left"
+    assert board.lines()[0] == "body  preparing, 0:05 so far"
 
 
 def test_a_terminal_is_redrawn_in_place():
