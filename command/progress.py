@@ -56,8 +56,8 @@ class Progress:
         self.shown = now
         spent = now - self.began
         share = min(done / max(self.total, 1), 1.0)
-        left = duration(spent / share - spent) if share > 0 else "?"
-        text = f"{self.label} {int(done)}/{self.total}  {duration(spent)}, {left} left  {note}".rstrip()
+        left = None if share <= 0 else spent / share - spent
+        text = f"{self.label} {int(done)}/{self.total}  {clock_time(spent)}, {_left_text(left)}  {note}".rstrip()
         if live:
             text = f"\r\x1b[K{_bar(share, 24)} {text}"
         self.display.write(text if live and not last else text + "\n")
@@ -103,16 +103,16 @@ class ProgressBoard:
     """Jobs that run side by side: one line each while at work, and one for all of them with the time left.
 
     On a terminal the lines are redrawn in place; elsewhere they are printed about every ten seconds. The time
-    left assumes that jobs without a speed yet are as fast per count as the others, that jobs wait for one of
-    `workers`, and that what follows them takes the share `after` of their time; preparations to come are left out.
+    left is the jobs' alone: those without a speed yet are taken to be as fast per count as the others, and wait for
+    one of `workers`.
     """
 
     def __init__(
-        self, totals: Mapping[str, int], workers: int, *, after: float = 0.0, stream: TextIO | TextIOBase | None = None,
+        self, totals: Mapping[str, int], workers: int, *, stream: TextIO | TextIOBase | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):  # fmt: skip
         self.display = _Display(stream)
-        self.clock, self.workers, self.after = clock, workers, after
+        self.clock, self.workers = clock, workers
         self.jobs = {name: _Job(total) for name, total in totals.items()}
         self.began = self.shown = clock()
         # lines on the terminal that the next drawing replaces
@@ -176,7 +176,7 @@ class ProgressBoard:
         return out
 
     def left(self) -> float | None:
-        """Seconds until everything is done, or None before the first job has a speed."""
+        """Seconds until all jobs are done, or None before the first job has a speed."""
         now, open_ = self.clock(), [job for job in self.jobs.values() if not job.ended]
         rates = [rate for rate in (job.rate for job in self.jobs.values()) if rate is not None]
         if open_ and not rates:
@@ -187,8 +187,7 @@ class ProgressBoard:
         for job in sorted(open_, key=lambda job: job.began is None):
             own = job.left(now)
             heapq.heapreplace(free, free[0] + (job.total * usual if own is None else own))
-        longest = max(free)
-        return longest + self.after * (longest + now - self.began)
+        return max(free)
 
 
 def plural(number: int, noun: str) -> str:
@@ -201,14 +200,6 @@ def clock_time(seconds: float | int) -> str:
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
-
-
-def duration(seconds: float | int) -> str:
-    """Seconds as 7 s, 12 min or 1:02 h."""
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02} h"
 
 
 def _left_text(seconds: float | int | None) -> str:

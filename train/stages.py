@@ -45,8 +45,6 @@ from train.session import Session, capture_digest, capture_place, digest_of, exc
 from train.trainer import Checkpoints, Watch, peak_memory
 from train.union import read_rays
 
-# time of what follows stage 1, as a share of it, for the time left; demo on two cores
-AFTER = 0.2
 # the order of the parts in which two workers end together
 HEAVIEST_FIRST = (1, 0, 2, 3)
 
@@ -363,5 +361,5 @@ def train_parts(training: Training, jobs: Sequence[PartJob]) -> dict[str, dict]:
     # each worker reads its own video; those of this process would lie beside them for as long as they learn
     let_go(training.capture.videos)
     totals = {name: job.settings.iterations for name, job in by_name.items()}
-    board = ProgressBoard(totals, workers, after=AFTER, stream=None if training.ranks.writes else io.StringIO())
+    board = ProgressBoard(totals, workers, stream=None if training.ranks.writes else io.StringIO())
     return run_jobs(by_name, train_part, board, workers)

@@ -9,18 +9,18 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 # lines, as many as there are: they only fall, until the installed folders have 60,000 and the tests 34,000
 BUDGET = {
     "files": 1_391,
-    "command": 1_248,
+    "command": 1_239,
     "avatar": 8_301,
     "geometry": 1_728,
     "capture": 11_256,
-    "train": 5_376,
+    "train": 5_365,
     "bake": 4_599,
     "player": 18_765,
     "shaders": 1_036,
     "synth": 2_688,
     "bench": 5_853,
     "selfscan": 432,
-    "tests": 35_556,
+    "tests": 35_554,
 }
 
 
