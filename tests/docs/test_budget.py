@@ -10,7 +10,7 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_391,
     "command": 1_239,
-    "avatar": 8_282,
+    "avatar": 8_258,
     "geometry": 1_728,
     "capture": 11_256,
     "train": 5_365,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_688,
     "bench": 5_853,
     "selfscan": 432,
-    "tests": 35_545,
+    "tests": 35_524,
 }
 
 

@@ -120,16 +120,6 @@ def test_interleaved_elements_are_read_by_their_stride(tmp_path):
     np.testing.assert_array_equal(gltf.accessor(0), table[:, 2:5])
 
 
-def test_sparse_accessor_overwrites_what_it_lists(tmp_path):
-    binary = np.array([1, 3], "<u4").tobytes() + np.array([7, 9], "<f4").tobytes()
-    views = [{"buffer": 0, "byteLength": 8}, {"buffer": 0, "byteOffset": 8, "byteLength": 8}]
-    sparse = {"count": 2, "indices": {"bufferView": 0, "componentType": 5125}, "values": {"bufferView": 1}}
-    accessor = {"componentType": 5126, "type": "SCALAR", "count": 5, "sparse": sparse}
-    buffers = [{"byteLength": 16}]
-    gltf = written(tmp_path, {"buffers": buffers, "bufferViews": views, "accessors": [accessor]}, binary)
-    assert gltf.accessor(0).tolist() == [0, 7, 0, 9, 0]
-
-
 def gltf_with_uri(folder, uri):
     document = {
         "buffers": [{"byteLength": 12, "uri": uri}],
