@@ -129,7 +129,7 @@ class Gltf:
 
         The array is the caller's own. Matrices are transposed to NumPy's order: `matrix @ column`. Integers
         stay as stored; with `as_float` they become float32, and normalised ones their fraction:
-        c / (2^bits - 1), max(c / (2^(bits-1) - 1), -1) when signed. Floats must be finite, sparse accessors are refused.
+        c / (2^bits - 1), max(c / (2^(bits-1) - 1), -1) when signed. Floats must be finite.
         """
         accessor = self.item("accessors", index, field)
         where = f"accessors[{index}]"
