@@ -174,9 +174,9 @@ class Gltf:
         strides = (stride,) + tuple(np.zeros((1, *shape), dtype).strides[1:])
         return np.ndarray((count, *shape), dtype, data, offset, strides)
 
-    def image(self, index: object, *, field: str = "image") -> tuple[bytes, str]:
+    def image(self, index: object) -> tuple[bytes, str]:
         """The encoded bytes of an image, and the mime type that its first bytes show."""
-        image = self.item("images", index, field)
+        image = self.item("images", index, "image")
         where = f"images[{index}]"
         if "bufferView" in image:
             data = bytes(self.view(image["bufferView"], f"{where}.bufferView"))
