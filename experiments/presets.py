@@ -109,7 +109,7 @@ def one_preset(
     )  # fmt: skip
     torch.set_num_threads(threads)
     torch.manual_seed(seed * 4 + index)
-    ready = part_untrained(job, capture, lambda share: None)
+    ready = part_untrained(job, capture)
     field = ready.field
     fitted = time.monotonic()
     if preset.prefit:
