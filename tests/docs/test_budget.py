@@ -8,12 +8,12 @@ ROOT = Path(__file__).parents[2]
 CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 # lines, as many as there are: they only fall, until the installed folders have 60,000 and the tests 34,000
 BUDGET = {
-    "files": 1_391,
-    "command": 1_239,
+    "files": 1_380,
+    "command": 1_234,
     "avatar": 8_258,
     "geometry": 1_728,
     "capture": 11_256,
-    "train": 5_365,
+    "train": 5_355,
     "bake": 4_599,
     "player": 18_765,
     "shaders": 1_036,
