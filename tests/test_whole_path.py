@@ -111,7 +111,7 @@ def test_a_run_of_these_networks_is_composed_baked_evaluated_and_inspected(name,
     capture, run, avatar = tmp_path / "person", tmp_path / "run", tmp_path / "a.glb"
     shutil.copytree(tiny_capture, capture)
     shutil.copytree(oracle[0] / "truth", capture / "truth")
-    tiny_training(capture, run, "--preview", "0", "--refine-poses", "off", preset=TINY[name])
+    tiny_training(capture, run, "--refine-poses", "off", preset=TINY[name])
     assert read_run(run).preset == TINY[name]
 
     assert main(["bake", str(run), "-o", str(avatar), "--faces", "3000", "--texture", "256"]) == 0

@@ -30,7 +30,7 @@ class DirectionField(FusedField):
     def __init__(self):
         torch.nn.Module.__init__(self)
 
-    def distance(self, points, *, grad=False):
+    def distance(self, points):
         return torch.zeros(len(points))
 
     def color(self, points, directions):
@@ -137,7 +137,7 @@ class NearField(FusedField):
         self.register_buffer("weights", torch.zeros(1000))
         self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
-    def distance(self, points, *, grad=False):
+    def distance(self, points):
         points = points.double().numpy()
         near = self.tree.query(points)[1]
         return torch.as_tensor(((points - self.at[near]) * self.normals[near]).sum(1)).float()

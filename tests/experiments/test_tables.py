@@ -161,8 +161,8 @@ def capture(tiny_capture):
 
 
 def trained(capture, out, *options):
-    """The run of a single network with these options, without previews."""
-    return run_folder.read_run(tiny_training(capture.path, out, "--preview", "0", *options, command=single.main))
+    """The run of a single network with these options."""
+    return run_folder.read_run(tiny_training(capture.path, out, *options, command=single.main))
 
 
 @pytest.mark.slow

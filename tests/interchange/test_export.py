@@ -74,7 +74,7 @@ def test_bvh_holds_the_skeleton_in_t_pose_on_the_ground(tmp_path):
     bvh = open_bvh(tmp_path / "wild.bvh")
     order = [bvh.names.index(name) for name in JOINTS]
     np.testing.assert_allclose(bvh.rest_positions[order], avatar.joint_positions + [0, 0.98, 0], atol=1e-7)
-    rotations, places = bvh.transforms(bvh.values(5, 6))
+    rotations, places = bvh.transforms(np.arange(5, 6))
     clip = wild_clip()
     expected = joint_transforms(clip.axis_angle[5], avatar.joint_positions, clip.root[5])
     np.testing.assert_allclose(rotations[0, order], expected[:, :3, :3], atol=1e-6)
@@ -115,13 +115,10 @@ def test_the_animated_avatar_is_read_back_as_motion_and_as_the_same_avatar(avata
     assert after[: len(before) - 3] == before[: len(before) - 3]  # less its padding
 
 
-def test_a_second_motion_takes_the_place_of_the_first_and_too_many_frames_for_float32_are_refused(
-    avatar_path, tmp_path
-):
+def test_a_second_motion_and_too_many_frames_for_float32_are_refused(avatar_path, tmp_path):
     write_animated(tmp_path / "first.glb", avatar_path, wild_clip(seed=1))
-    write_animated(tmp_path / "second.glb", tmp_path / "first.glb", wild_clip(seed=2))
-    write_animated(tmp_path / "direct.glb", avatar_path, wild_clip(seed=2))
-    assert (tmp_path / "second.glb").read_bytes() == (tmp_path / "direct.glb").read_bytes()
+    with pytest.raises(AssetError, match=r"first\.glb: holds a motion"):
+        write_animated(tmp_path / "second.glb", tmp_path / "first.glb", wild_clip(seed=2))
     clip = Clip(np.zeros((3, 52, 3)), np.zeros((3, 3)), 1e46)  # frames per second
     with pytest.raises(ValueError, match="3 frames at 1e\\+46 per second are more than float32"):
         write_animated(tmp_path / "fast.glb", avatar_path, clip)

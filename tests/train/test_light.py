@@ -18,7 +18,7 @@ from train.command import TrainOptions
 from train.deform import canonical_directions, posed_directions
 from train.field import TEMPLATE_SHARE
 from train.fused import FusedField
-from train.light import harmonics, light_facts, seen_lights_from_json, seen_tensors, video_light, world_light
+from train.light import harmonics, light_facts, seen_lights_from_json, video_light, world_light
 from train.preset import PRESETS, HairPreset, chosen_preset
 from train.run import lights_of
 
@@ -104,7 +104,7 @@ def test_the_seen_light_is_the_mean_over_the_frames_that_face_a_normal(capture):
     light = CaptureLight(0.5, LAMPS)
     video = video_light(capture, "head", light, np.eye(4))
     facts = light_facts(capture, {part: video_light(capture, part, light, np.eye(4)) for part in PARTS})
-    seen = seen_tensors(seen_lights_from_json("light_seen", facts["light_seen"]))[PARTS.index("head")]
+    seen = seen_lights_from_json("light_seen", facts["light_seen"])[PARTS.index("head")]
     normals = unit(6, 40)
     sums = np.zeros((2, 40))
     for R in video.light_from_ray:
@@ -118,7 +118,7 @@ def test_the_seen_light_is_the_mean_over_the_frames_that_face_a_normal(capture):
 def test_an_even_light_is_seen_as_one_and_the_world_light_is_the_cameras_turned(capture):
     videos = {part: video_light(capture, part, CaptureLight(1.0), np.eye(4)) for part in PARTS}
     facts = light_facts(capture, videos)
-    for seen in seen_tensors(seen_lights_from_json("x", facts["light_seen"])):
+    for seen in seen_lights_from_json("x", facts["light_seen"]):
         albedo = torch.rand(20, 3, generator=torch.Generator().manual_seed(1))
         torch.testing.assert_close(seen.shown(albedo, torch.as_tensor(unit(7, 20)).float()), albedo, rtol=0, atol=1e-5)
     light = CaptureLight(0.4, LAMPS)

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -20,7 +19,7 @@ from command.settings import SettingsSource, record_of, settings_json
 from files.whole import whole_folder
 from train.command import ITEM_NAMES, PRESET_NAMES, TrainOptions
 from train.distributed import ONE_PROCESS, Ranks
-from train.log import TrainingLog, tensorboard_installed
+from train.log import TrainingLog
 from train.preset import DEMO, ITEMS, PRESETS, Preset
 from train.session import FILE, capture_digest, exclusive_lock, open_session
 from train.stages import train
@@ -83,7 +82,7 @@ def never_stopped(tiny_capture, tmp_path_factory) -> Path:
 
 
 def assert_equal_runs(run: Path, other: Path) -> None:
-    """The same bits in every weight; the same rows in every log, times apart; the same last preview."""
+    """The same bits in every weight; the same rows in every log, times apart."""
     for name in HANDS:
         one, two = (torch.load(folder / f"{name}.pt", weights_only=True)["state"] for folder in (run, other))
         assert one.keys() == two.keys()
@@ -93,8 +92,6 @@ def assert_equal_runs(run: Path, other: Path) -> None:
         assert [row["step"] for row in logs[1]] == [str(step) for step in range(10, 241, 10)]
         for first, second in zip(*logs, strict=True):
             assert {**first, "seconds": ""} == {**second, "seconds": ""}
-        previews = [(folder / f"preview/{name}.png").read_bytes() for folder in (run, other)]
-        assert previews[0] == previews[1]
 
 
 @pytest.mark.slow
@@ -270,38 +267,13 @@ def test_a_log_begun_anew_holds_nothing_old_and_rows_are_on_the_disk_when_writte
     log.close()
 
 
-def test_a_log_of_other_columns_is_refused_and_without_tensorboard_the_csv_is_the_same(tmp_path, monkeypatch):
+def test_a_log_of_other_columns_is_refused(tmp_path):
     log_steps(tmp_path, 0, [10])
     log = TrainingLog(tmp_path, "head")
     log.begin(10)
     with pytest.raises(AssetError, match=r"head\.csv: columns should be"):
         log.row(20, 1.0, 1.0, {"loss": 1.0})
     log.close()
-    log_steps(tmp_path / "with", 0, [10, 20])
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    assert not tensorboard_installed()
-    log_steps(tmp_path / "without", 0, [10, 20])
-    assert rows_of(tmp_path / "with/head.csv") == rows_of(tmp_path / "without/head.csv")
-    assert not (tmp_path / "without" / "events").exists()
-
-
-@pytest.mark.skipif(not tensorboard_installed(), reason="tensorboard is not installed")
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # TensorBoard's own reader
-def test_tensorboard_reads_what_was_logged_and_resumed(tmp_path):
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    log_steps(tmp_path, 0, [10, 20, 30])
-    time.sleep(1.1)  # files of one second are read in the order of numbers as text: 10 before 9
-    log = TrainingLog(tmp_path, "head")
-    log.begin(20)
-    log.row(30, 4.0, 0.5, {"loss": 0.25, "psnr": 1.0})
-    log.image(30, np.full((4, 6, 3), 200, np.uint8))
-    log.close()
-    events = EventAccumulator(str(tmp_path / "events" / "head"))
-    events.Reload()
-    assert [(e.step, e.value) for e in events.Scalars("loss")][-1] == (30, 0.25)
-    assert [e.step for e in events.Scalars("loss")] == [10, 20, 30]  # the row taken again replaced the old one
-    assert (events.Images("preview")[0].width, events.Images("preview")[0].height) == (6, 4)
 
 
 TESTS = Path(__file__).parents[1]
@@ -351,8 +323,6 @@ def test_torchrun_trains_from_the_command_line_like_one_process(tiny_capture, tm
         for first, second in zip(*(log[1:] for log in logs), strict=True):
             one, two = ([float(value) for value in row.split(",")] for row in (first, second))
             assert two[0] == one[0] and two[3] == pytest.approx(one[3], rel=2e-3)
-        for path in ("one", "two"):
-            assert (tmp_path / path / f"preview/{name}.png").exists()
 
 
 def test_the_shares_of_a_batch_are_the_batch():

@@ -49,8 +49,8 @@ def by(**changes):
 
 
 def trained(capture, out, *options):
-    """The run of a training with these options, without previews."""
-    return run_folder.read_run(tiny_training(capture.path, out, "--preview", "0", *options))
+    """The run of a training with these options."""
+    return run_folder.read_run(tiny_training(capture.path, out, *options))
 
 
 @pytest.fixture
@@ -196,7 +196,7 @@ def test_a_run_from_capture_to_fused_field(own_run):
     assert run.provenance["cpu_seconds"] > parts > 0 and run.provenance["resumed"] is False
     assert run.provenance["body_licence"] == "a licence of the body's own"
     assert run.provenance["subject_licence"] == "not stated by the capture"
-    assert (run.path / "preview" / "head.png").exists() and (run.path / "logs" / "hand_left.csv").exists()
+    assert (run.path / "logs" / "hand_left.csv").exists()
 
     (run.path / "hand_left.pt").write_bytes(b"not a part")
     with pytest.raises(AssetError, match=r"hand_left\.pt: expected a trained part"):
@@ -256,7 +256,7 @@ class Hollow(FusedField):
         chest = subject.vertices[(np.abs(subject.vertices[:, :2] - [0, 0.3]) < 0.05).all(1), 2]
         self.axis = torch.tensor([0, 0.3, (chest.min() + chest.max()) / 2], dtype=torch.float32)
 
-    def distance(self, points, *, grad=False):
+    def distance(self, points):
         skin = self.template(points)
         hole = 0.008 - (points[:, :2] - self.axis[:2]).norm(dim=1)
         hole = torch.where(points[:, 2] > self.axis[2], hole, -1.0)
@@ -266,9 +266,7 @@ class Hollow(FusedField):
 def test_the_surface_is_the_skin_although_the_field_is_hollow_and_a_pinhole_leads_in(capture):
     field = Hollow(capture.subject)
     parts = part_boxes(capture.subject)
-    (vertices, faces), layer = extract_surface(
-        field, parts, capture.subject, body_cell=0.008, head_cell=0.008, hand_cell=0.008
-    )
+    (vertices, faces), layer = extract_surface(field, parts, capture.subject, (0.008, 0.008, 0.008))
     assert not layer.any()
     depth = -field.template(torch.as_tensor(vertices, dtype=torch.float32)).numpy()
     assert len(vertices) > 1000

@@ -186,12 +186,12 @@ def test_world_transforms_are_products_down_the_tree(tmp_path):
     np.testing.assert_allclose(world_from_node(gltf)[0][:3, 3], [8, 8, 9], atol=1e-12)
 
 
-@pytest.mark.parametrize("mode, expected", [(4, [[0, 1, 2], [3, 4, 5]]),
-                                            (5, [[0, 1, 2], [2, 1, 3], [2, 3, 4], [4, 3, 5]]),
-                                            (6, [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])])  # fmt: skip
-def test_strips_and_fans_keep_the_winding_of_lists(tmp_path, mode, expected):
-    meshes = [{"primitives": [{"attributes": {}, "mode": mode}]}]
-    assert triangles(written(tmp_path, {"meshes": meshes}), 0, 0, 6).tolist() == expected
+def test_triangles_are_lists(tmp_path):
+    meshes = [{"primitives": [{"attributes": {}}, {"attributes": {}, "mode": 5}]}]
+    gltf = written(tmp_path, {"meshes": meshes})
+    assert triangles(gltf, 0, 0, 6).tolist() == [[0, 1, 2], [3, 4, 5]]
+    with pytest.raises(AssetError, match="mode should be 4, a list of triangles, is 5"):
+        triangles(gltf, 0, 1, 6)
 
 
 @pytest.mark.parametrize("transform, read", [({"offset": [0, 0], "scale": [1, 1]}, True), ({"scale": [2, 1]}, False)])

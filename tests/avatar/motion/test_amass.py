@@ -1,4 +1,4 @@
-"""Pose sequences in the layouts of AMASS and in pickles: names, frames, up axes, people, and reading back."""
+"""Pose sequences in the layouts of AMASS and in pickles: names, frames, up axes, and reading back."""
 
 import pickle
 from dataclasses import replace
@@ -193,18 +193,6 @@ def test_root_and_body_apart(tmp_path):
     fields |= {"left_hand_pose": poses(45, 2), "right_hand_pose": poses(45, 3)}
     clip = read_motion(saved(tmp_path / "c.pkl", fields)).read()
     np.testing.assert_allclose(clip.axis_angle[:, 37:].reshape(FRAMES, 45), fields["right_hand_pose"], atol=1e-15)
-
-
-def test_the_first_of_several_people_as_3dpw_has_them(tmp_path):
-    fields = {
-        "poses": [poses(72), poses(72, 1)], "trans": [MOVES, -MOVES], "betas": [np.zeros(10), np.ones(10)],
-        "genders": ["m", "f"], "cam_intrinsics": np.eye(3),
-    }  # fmt: skip
-    motion = read_motion(saved(tmp_path / "a.pkl", fields))
-    assert any("2 in the file, the first is read" in n for n in motion.notes)
-    np.testing.assert_allclose(motion.read().root, MOVES + USUAL_PELVIS)
-    inner = read_motion(saved(tmp_path / "b.pkl", {0: {"pose": poses(72), "trans": MOVES}}))
-    np.testing.assert_array_equal(inner.read().root, motion.read().root)
 
 
 @pytest.mark.parametrize("axis, turn", [("+z", [np.pi / 2, 0, 0]), ("-y", [np.pi, 0, 0]), ("+x", [0, 0, -np.pi / 2])])

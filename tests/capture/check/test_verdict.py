@@ -1,4 +1,4 @@
-"""Spoilt captures: what is wrong is found, named with its frames, and nothing else is; poses against keypoints."""
+"""Spoilt captures: what is wrong is found, named with its frames, and nothing else is."""
 
 import json
 import re
@@ -12,17 +12,11 @@ from PIL import Image
 from scipy import ndimage
 from turning_capture import TURN, with_video
 
-from avatar.camera import project
 from avatar.similarity import similarity_from_landmarks
-from avatar.skeleton import JOINTS, joint_transforms
 from capture.check.coverage import largest_gap, turn_angles
-from capture.check.keypoints import compare_keypoints, keypoint_findings, keypoint_lines
-from capture.check.pictures import blurred, exposure, missing, repeated, sharpness
+from capture.check.pictures import blurred, exposure, repeated, sharpness
 from capture.check.report import examine, examine_part, report_facts
 from capture.check.verdict import verdict
-from capture.folder import read_capture
-from capture.keypoints import openpose
-from command.errors import AssetError
 from selfscan.__main__ import main
 
 
@@ -47,7 +41,7 @@ def test_a_sound_capture_is_usable_and_measured(good):
     judged = verdict(good)
     assert judged.usable and judged.line().startswith("usable, but ")
     kinds = {re.sub(r"\d+", "N", f.what) for f in judged.findings}
-    assert kinds == {"N frames only", "a pixel is N mm wide", "an iris is N pixels wide"}, judged.findings
+    assert kinds == {"N frames only", "a pixel is N mm wide"}, judged.findings
     assert good.height == pytest.approx(1.7, abs=0.3)
     assert good.head_scale == pytest.approx(0.5, rel=1e-6)  # painted in half metres
     for name, distance in (("body", 3.3), ("head", 0.7), ("hand_left", 0.5)):
@@ -55,7 +49,6 @@ def test_a_sound_capture_is_usable_and_measured(good):
         assert part.distance == pytest.approx(distance, rel=0.01)
         assert part.mean.iou == 1 and part.mean.edge == 0 and part.outside == 0
         assert part.coverage.gap == pytest.approx(30, abs=3) and part.coverage.seen > 0.85
-        assert part.coverage.histogram.sum() == TURN
     json.dumps(report_facts(good), allow_nan=False)
 
 
@@ -163,7 +156,7 @@ def test_a_frame_blurred_by_a_pixel_is_named_and_no_other(frame):
     assert blurred(sharp) == [frame] and np.isnan(sharp[3])
 
 
-def test_repeated_missing_and_clipped(tmp_path):
+def test_repeated_and_clipped():
     images = np.full((4, 8, 8, 3), 100, np.uint8)
     images[1] += 1
     assert repeated(images) == [3]
@@ -171,9 +164,6 @@ def test_repeated_missing_and_clipped(tmp_path):
     images[0], images[1, :4] = 255, 0
     assert exposure(images, masks) == (0.25, 0.125)
     assert exposure(images, ~masks) == (0, 0)
-    for number in (3, 4, 7):
-        Image.new("L", (1, 1)).save(tmp_path / f"{number:06d}.png")
-    assert missing(tmp_path) == [5, 6]
 
 
 def test_gaps_of_the_turn():
@@ -181,9 +171,8 @@ def test_gaps_of_the_turn():
     assert largest_gap(np.radians([0.0, 90, 180, 270])) == pytest.approx(90)
     assert largest_gap(np.radians([350.0, 10, 100])) == pytest.approx(250)
     front, left = np.array([[0, 0, 1.0]]), np.array([[1.0, 0, 0]])
-    assert turn_angles(front, "body")[0] == 0 and turn_angles(left, "head")[0] == pytest.approx(np.pi / 2)
-    along = [turn_angles(left, hand)[1].item() for hand in ("hand_left", "hand_right")]
-    assert along == pytest.approx([np.pi / 2, -np.pi / 2])
+    assert turn_angles(front, "body") == 0 and turn_angles(left, "head") == pytest.approx(np.pi / 2)
+    assert turn_angles(front, "hand_left") == 0
 
 
 @pytest.fixture(scope="module")
@@ -208,59 +197,7 @@ def test_landmarks_that_determine_nothing_are_refused(folder, capsys):
     content = json.loads(path.read_text())
     points = {name: [0.001 * i, 0, 0] for i, name in enumerate(content["points"])}
     path.write_text(json.dumps(content | {"points": points}))
+    assert main(["check", str(folder), "--keypoints", "x"]) == 1
+    assert "--keypoints: is for videos as filmed" in capsys.readouterr().err
     assert main(["check", str(folder)]) == 1
     assert "landmarks.json: landmarks: the source points lie on a line" in capsys.readouterr().err
-
-
-@pytest.fixture(scope="module")
-def report(turning):
-    return examine(turning)
-
-
-def written(folder, capture, *, name_of=lambda name: name, shift=0.0, frames=None):
-    """OpenPose's files of the body video: its joints as they are projected."""
-    video = capture.videos["body"]
-    joints = joint_transforms(video.axis_angle, capture.subject.joints, video.root)[:, :, :3, 3]
-    (folder / "body").mkdir(parents=True)
-    for k in range(len(joints) if frames is None else frames):
-        pixels = project(video.cameras[k], joints[k])[0] + shift
-        rows = np.zeros((25, 3))
-        for row, name in enumerate(openpose.BODY_25):
-            if name_of(name) in JOINTS:
-                rows[row] = [*(pixels[JOINTS.index(name_of(name))] - 0.5), 0.9]
-        content = {"people": [{"pose_keypoints_2d": rows.ravel().tolist()}]}
-        (folder / "body" / f"{k:06d}_keypoints.json").write_text(json.dumps(content))
-    return folder
-
-
-def exchanged(name):
-    side, _, rest = name.partition("_")
-    return {"left": "right", "right": "left"}.get(side, side) + ("_" + rest if rest else "")
-
-
-def test_poses_that_follow_their_keypoints_are_no_finding_and_keypoints_of_somewhere_else_are(
-    tmp_path, turning, report, within
-):
-    followed = compare_keypoints(turning, written(tmp_path / "a", turning), report)
-    within(followed[0].pixels, 1e-6, "px")
-    assert followed[0].exchanged == 0 and keypoint_findings(followed) == []
-    assert any(line.startswith("body: keypoints 0.0 px") for line in keypoint_lines(followed))
-    followed = compare_keypoints(turning, written(tmp_path / "a1", turning, shift=25.0), report)
-    (finding,) = keypoint_findings(followed)
-    assert finding.fatal and "cm off the keypoints" in finding.what
-    assert followed[0].pixels == pytest.approx(25 * np.sqrt(2), rel=1e-6)
-
-
-def test_other_numbers_of_frames_are_refused_and_the_command_compares_and_writes(tmp_path, turning, report, capsys):
-    with pytest.raises(AssetError, match="12 frames, found 5"):
-        compare_keypoints(turning, written(tmp_path / "a", turning, frames=5), report)
-    with pytest.raises(AssetError, match="expected keypoints in body"):
-        compare_keypoints(turning, tmp_path, report)
-    folder = write_capture(tmp_path / "test", size=32, frames=2)
-    points = written(tmp_path / "points", read_capture(folder), name_of=exchanged)
-    assert main(["check", str(folder), "--keypoints", str(points), "--json", str(tmp_path / "facts.json")]) == 1
-    facts = json.loads((tmp_path / "facts.json").read_text())
-    (body,) = facts["keypoints"]
-    assert body["part"] == "body" and body["exchanged"] == 1 and body["points"] > 0
-    out = capsys.readouterr().out
-    assert "body: keypoints" in out and "left and right are exchanged in 100% of the frames" in out

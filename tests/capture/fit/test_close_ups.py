@@ -8,7 +8,7 @@ import pytest
 from avatar.kinematics import pose_rows, posed, shape_rows, skinned
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
-from capture.fit import hand, head, stored
+from capture.fit import hand, head
 from capture.fit.body import CUTS, MOVING, body_names
 from capture.fit.contours import Silhouette
 from capture.fit.footage import Estimate
@@ -18,7 +18,6 @@ from capture.fit.picture import fit_pose
 from capture.fit.priors import shared_layout, standing
 from capture.fit.scan import STEPS, template_of
 from capture.fit.solve import assemble, moved, posed_frames, solve
-from capture.fit.stored import FIELDS, estimate_fields, estimate_of, fingerprint, read_step, write_step
 from capture.keypoints.record import Keypoints
 from tests.turning_twin import in_clothes, pictured, turning_twin
 
@@ -132,24 +131,6 @@ def test_pose_of_a_known_person_in_one_picture():
 def test_clothes_that_the_template_lacks_do_not_draw_it_nearer_to_one_picture():
     ours, theirs = limbs_in_camera(*in_one_picture(thickness=0.015))
     assert abs((ours - theirs)[:, 2].mean()) < 0.06
-
-
-def test_a_finished_step_is_read_back_for_the_same_video_alone(tmp_path, monkeypatch):
-    person = person_of("male")
-    truth = truth_of(person, np.tile([0, 0, -3.0], (2, 1)), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 52, 3)))
-    truth, footage = shown(replace(truth, log_focal=0.1), body_names(), MOVING)
-    inputs = fingerprint(footage, "male")
-    write_step(tmp_path / "body.npz", estimate_fields(truth), inputs)
-    kept = read_step(tmp_path / "body.npz", FIELDS, inputs)
-    assert kept is not None
-    again = estimate_of(kept, person)
-    assert again.log_focal == 0.1
-    np.testing.assert_array_equal(again.root, truth.root)
-    assert read_step(tmp_path / "body.npz", FIELDS, fingerprint(footage, "female")) is None
-    assert read_step(tmp_path / "head.npz", FIELDS, inputs) is None
-    # another method may answer otherwise
-    monkeypatch.setattr(stored, "METHOD", stored.METHOD + 1)
-    assert read_step(tmp_path / "body.npz", FIELDS, fingerprint(footage, "male")) is None
 
 
 def gradient_of(estimate, footage, priors, terms, own, shared):

@@ -69,15 +69,6 @@ def write_results(path, points, unseen):
     return path
 
 
-def write_annotations(path, points, unseen):
-    people = []
-    for frame, flat in wholebody(points, unseen):
-        parts = zip(coco_wholebody.GROUPS, np.split(flat, [17, 23, 91, 112]), strict=True)
-        people.append({"image_id": frame, **{key: part.ravel().tolist() for (key, _), part in parts}})
-    path.write_text(json.dumps({"images": [], "annotations": people}))
-    return path
-
-
 def write_mediapipe(path, points, unseen, told=True):
     frames = []
     for frame in range(FRAMES):
@@ -104,7 +95,6 @@ WRITERS = {
     "openpose": (write_openpose, openpose.NAMES),
     "mmpose": (write_mmpose, coco_wholebody.NAMES),
     "results": (write_results, coco_wholebody.NAMES),
-    "annotations": (write_annotations, coco_wholebody.NAMES),
     "mediapipe": (write_mediapipe, mediapipe.NAMES),
 }
 
@@ -137,15 +127,14 @@ def test_left_is_the_persons_left_and_the_orders_are_the_published_ones():
     assert mediapipe.POSE[11] == "left_shoulder" and mediapipe.POSE[28] == "right_ankle" and len(mediapipe.POSE) == 33
 
 
-def test_of_several_people_the_largest_is_taken_and_an_empty_frame_is_unseen_and_both_are_said(tmp_path):
+def test_of_several_people_the_largest_is_taken_and_an_empty_frame_is_unseen(tmp_path):
     alone = read_keypoints(write_openpose(tmp_path / "one", *truth()))
     found = read_keypoints(write_openpose(tmp_path / "three", *truth(), people=3))
     np.testing.assert_allclose(found.pixels, alone.pixels)
-    assert any("several in a frame, the largest" in note for note in found.notes) and not alone.notes
+    assert (found.others > 0).all() and not alone.others.any()
     (tmp_path / "one" / "me_000000000001_keypoints.json").write_text('{"people": []}')
     found = read_keypoints(tmp_path / "one")
     assert (found.confidence[1] == 0).all() and np.isnan(found.pixels[1]).all() and (found.confidence[0] > 0).any()
-    assert "no person in 1 of 3 frames" in found.notes
 
 
 def test_parts_of_a_picture_need_its_size_and_a_folder_of_nothing_is_refused(tmp_path):

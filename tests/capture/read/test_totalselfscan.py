@@ -12,8 +12,8 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
 from avatar.skinning import dense_weights
 from capture.folder import read_capture
-from capture.read.folder import anchored, chosen_frames, read_mask
-from capture.read.totalselfscan import AUTHORS_FRAMES, import_totalselfscan
+from capture.read.folder import anchored, read_mask
+from capture.read.totalselfscan import _frames_of, import_totalselfscan
 from command.errors import AssetError
 from files.npz import read_npy
 from selfscan.__main__ import main
@@ -104,16 +104,10 @@ def test_frame_remove_leaves_out_half_open_ranges_of_indices(damaged, source, tm
     assert "hand_left: 1 frames left out by frame_remove.json" in notes
 
 
-def test_frames_are_the_authors_where_the_video_is_as_long_and_the_users_where_given(authors, tmp_path, body):
-    start, step, number = AUTHORS_FRAMES["body"]
-    frames = chosen_frames(1400, 100, AUTHORS_FRAMES["body"], "video")
-    assert (frames[0], frames[-1], len(frames)) == (start, start + step * (number - 1), number) == (500, 1390, 90)
-    assert chosen_frames(1000, 4, None, "video").tolist() == [0, 333, 666, 999]
-    with pytest.raises(AssetError, match=r"video: frame 6 is chosen .* has 5"):
-        chosen_frames(5, 100, (0, 2, 4), "video")
-    import_totalselfscan(authors, tmp_path / "out", body=body, select={"body": (1, 1, 2), "head": (0, 2, 2)})
-    found = read_capture(tmp_path / "out")
-    assert [len(found.videos[part].images) for part in ("body", "head", "hand_left")] == [2, 2, 3]
+def test_frames_are_the_authors_where_the_video_is_as_long_else_evenly_spread():
+    frames = _frames_of(1400, "body", 100, [])
+    assert (frames[0], frames[-1], len(frames)) == (500, 1390, 90)
+    assert _frames_of(1000, "body", 4, []).tolist() == [0, 333, 666, 999]
 
 
 def test_masks_are_labels_or_0_and_1_and_jpeg_rings_are_no_person(tmp_path):

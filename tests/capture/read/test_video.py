@@ -46,7 +46,7 @@ def before(part, size, fov, count=1, left_out=()):
     return FittedVideo((camera,) * count, *poses, ~np.isin(np.arange(count), left_out))
 
 
-def stand_in(scan, work, left_out=()):
+def stand_in(scan, left_out=()):
     """A template and cameras of the right kind."""
     videos = {part: before(part, raw.size, 0.6, len(raw.frames), left_out) for part, raw in scan.videos.items()}
     return FittedScan(TEMPLATE, videos, MARKS, ("fitted by a stand-in",))
@@ -54,7 +54,7 @@ def stand_in(scan, work, left_out=()):
 
 def test_a_capture_is_written_whole_with_soft_rims_and_its_origin(filmed_four, tmp_path):
     out = tmp_path / "capture"
-    notes = import_video(given(filmed_four), out, lambda scan, work: stand_in(scan, work, left_out=(2,)))
+    notes = import_video(given(filmed_four), out, lambda scan: stand_in(scan, left_out=(2,)))
     capture = read_capture(out)
     assert capture.facts["input"] == "from_pixels" and capture.facts["body_licence"].startswith("CC0")
     for part in PARTS:
@@ -92,7 +92,7 @@ def test_the_rest_of_the_person_is_unknown_in_a_close_up(part):
 def test_what_was_interrupted_goes_on_and_other_input_begins_anew(filmed_four, tmp_path, capsys):
     out = tmp_path / "capture"
 
-    def stopped(scan, work):
+    def stopped(scan):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -113,7 +113,7 @@ def test_what_was_interrupted_goes_on_and_other_input_begins_anew(filmed_four, t
 def test_folders_of_others_bad_videos_and_keypoints_of_three_stop_before_anything_is_fitted(filmed_four, tmp_path):
     film_anew(filmed_four, tmp_path / "me", "body", second=True)
     with pytest.raises(AssetError, match=r"body\.mp4: two people are in view"):
-        import_video(given(tmp_path / "me"), tmp_path / "capture", lambda scan, work: pytest.fail("fitted"))
+        import_video(given(tmp_path / "me"), tmp_path / "capture", lambda scan: pytest.fail("fitted"))
     assert not list(tmp_path.glob("capture*"))
     (tmp_path / "capture.partial").mkdir()
     (tmp_path / "capture.partial" / "diary.txt").write_text("mine")

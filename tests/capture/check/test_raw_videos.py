@@ -1,0 +1,59 @@
+"""What `check` says of videos as they were filmed."""
+
+import json
+
+import pytest
+from filmed_figure import film_anew
+
+from capture.check.options import main
+from capture.raw.four_videos import find_videos
+from command.errors import AssetError
+
+
+def test_good_videos_are_usable_as_a_folder_and_as_four_files(filmed_four, tmp_path, capsys):
+    assert main([str(filmed_four), "-o", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    assert "body.mp4   240 x 180, 30 frames/s, 3.0 s; empty room 0." in text
+    assert text.splitlines()[5].startswith("usable")
+    facts = json.loads((tmp_path / "out" / "check.json").read_text())
+    assert facts["usable"] and facts["videos"]["body"]["frames"] == 90
+    files = [filmed_four / f"{name}.mp4" for name in ("body", "head", "left", "right")]
+    assert find_videos(files) == find_videos([filmed_four])
+
+
+def test_a_hand_that_leaves_the_picture_is_said_with_the_time_and_the_body_alone_is_enough(
+    filmed_four, tmp_path, capsys
+):
+    film_anew(filmed_four, tmp_path / "me", "hand_left", shift=(0, -66))
+    assert main([str(tmp_path / "me")]) == 1
+    text = capsys.readouterr().out
+    assert "not usable because left.mp4: the left hand leaves the picture at the top from" in text
+    assert "film again with it in the middle" in text
+    assert main([str(filmed_four / "body.mp4")]) == 0
+    text = capsys.readouterr().out
+    assert "head: no film of its own; body.mp4 shows it about" in text and "hand_right: no film" in text
+
+
+def test_films_are_told_apart_by_name_or_order_and_none_is_given_twice(tmp_path):
+    names = ("body", "left", "head")
+    files = [tmp_path / f"{name}.mp4" for name in names]
+    for file in files:
+        file.write_bytes(file.name.encode())
+    assert find_videos(files) == find_videos([tmp_path]) == dict(zip(("body", "hand_left", "head"), files))
+    assert find_videos(files[:1]) == {"body": files[0]}
+    with pytest.raises(AssetError, match=r"called body, head, left, right; found body.mp4, IMG_7.mov"):
+        find_videos([files[0], tmp_path / "IMG_7.mov"])
+    files[2].write_bytes(files[0].read_bytes())
+    with pytest.raises(AssetError, match=r"is the same film as .*body.mp4; leave it out"):
+        find_videos(files)
+    files[0].unlink()
+    with pytest.raises(AssetError, match=r"expected body.mp4, and head.mp4, .* found .*left.mp4"):
+        find_videos([tmp_path])
+
+
+def test_without_keypoints_it_says_which_are_needed(filmed_four, tmp_path):
+    for name in ("body", "head", "left", "right"):
+        (tmp_path / f"{name}.mp4").symlink_to(filmed_four / f"{name}.mp4")
+    with pytest.raises(Exception, match=r"keypoints: expected keypoints .*--keypoints DIR says where"):
+        main([str(tmp_path)])
+    assert main([str(tmp_path), "--keypoints", str(filmed_four / "keypoints")]) == 0
