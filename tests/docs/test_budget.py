@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_688,
     "bench": 5_567,
     "selfscan": 432,
-    "tests": 32_660,
+    "tests": 32_650,
 }
 
 

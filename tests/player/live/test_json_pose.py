@@ -79,7 +79,7 @@ def test_one_sender_is_followed_at_a_time_a_restarted_one_at_once():
     assert decoder.decode(message(5, sender="a"), 0.0, counters)
     assert decoder.decode(message(9, sender="b"), 0.5, counters) is None and counters.other == 1
     found = decoder.decode(message(10, sender="b"), 2.0, counters)
-    assert found is not None and found[0].sender == "b" and found[2] and counters.lost == 0
+    assert found is not None and found[0].sender == "b" and found[1] and counters.lost == 0
     decoder, counters = JsonDecoder(), Counters()
     feed(range(1000, 1010), decoder, counters)
     found = decoder.decode(message(0), 1.0, counters)
