@@ -18,9 +18,9 @@ BUDGET = {
     "player": 17_743,
     "shaders": 987,
     "synth": 2_688,
-    "bench": 5_567,
+    "bench": 5_514,
     "selfscan": 432,
-    "tests": 35_102,
+    "tests": 35_100,
 }
 
 
