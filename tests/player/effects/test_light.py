@@ -13,7 +13,7 @@ from avatar.skeleton import skin_transforms
 from avatar.skinning import blended_rotations
 from player.draw.posing import posed_vertices
 from player.effects.background_source import read_panorama
-from player.effects.light import Light, background_gains
+from player.effects.light import Light
 from player.effects.panorama_light import fitted_light
 from player.film.shot import Shot, with_whole_paths
 from player.scene.effects import PLAIN
@@ -174,21 +174,6 @@ def test_a_panorama_lights_avatars_as_its_lamps_would(render, shown, avatar, pos
 def test_a_panorama_that_is_nowhere_is_said(render, avatar, behind):
     with pytest.raises(ValueError, match="light by panorama: expected its path, or a background of kind hdr"):
         render(avatar, SIZE, effects=replace(OFF, light=Light("panorama")), background=behind["image"])
-
-
-@pytest.mark.parametrize("kind", ["image", "hdr"])
-def test_avatars_are_fitted_to_what_is_behind(render, shown, avatar, pose, behind, kind):
-    """Every color times the same gains, which the reason says."""
-    plain = shown(OFF)
-    fitted = render(avatar, SIZE, effects=replace(OFF, light=Light(fit="background")), background=behind[kind])
-    image, body = fitted.draw([pose], CAMERA), plain[..., 3] > 0
-    gains = np.array(background_gains(behind[kind]))
-    assert (gains != 1).all() and ((gains >= 0.5) & (gains <= 2)).all()
-    expected = np.clip(plain[body][:, :3] * gains, 0, 255)
-    assert np.abs(image[body][:, :3] - expected).max() <= 1.01
-    assert " ".join(f"{gain:.2f}" for gain in gains) in why_of(fitted)
-    if kind == "image":
-        assert gains[0] > gains[1] > gains[2], "warm behind, warm before"
 
 
 def test_light_that_changes_nothing_is_the_plan_without_it(render, context, avatar, pose):

@@ -7,7 +7,7 @@ from radiance_writer import sky
 from avatar.camera import Camera
 from avatar.rotation import fibonacci_sphere
 from player.effects.panorama import direction_from_pixel
-from player.effects.panorama_light import GAINS, LUMINANCE, NORMALS, fitted_light, gains_of, irradiance, linear_mean
+from player.effects.panorama_light import LUMINANCE, NORMALS, fitted_light, irradiance
 
 
 def off_by(light, panorama, turn, normals=fibonacci_sphere(NORMALS)):  # noqa: B008  never written to
@@ -57,17 +57,3 @@ def test_an_evening_sky_is_met_to_some_percent_and_no_lamp_is_negative(within, g
 def test_black_lights_nothing_and_is_refused():
     with pytest.raises(ValueError, match="the panorama is black"):
         fitted_light(np.zeros((32, 64, 3)), 0.0, gamma=1.0, most=4)
-
-
-def test_gains_follow_brightness_and_tint_by_half_and_stay_within_limits():
-    assert gains_of(np.full(3, 0.18)) == (1.0, 1.0, 1.0)
-    warm = gains_of(np.array([0.36, 0.18, 0.09]))
-    assert warm[0] > 1 == warm[1] > warm[2] and warm[0] == pytest.approx(1 / warm[2])
-    assert gains_of(np.zeros(3)) == (GAINS[0],) * 3 and gains_of(np.full(3, 1e6)) == (GAINS[1],) * 3
-
-
-def test_the_mean_is_of_linear_light():
-    pixels = np.zeros((2, 4, 3))
-    pixels[:, 2:] = 1.0
-    np.testing.assert_allclose(linear_mean(pixels), 0.5)
-    np.testing.assert_allclose(linear_mean(np.full((2, 2, 3), 0.46)), 0.18, atol=2e-3)
