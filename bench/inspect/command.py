@@ -37,12 +37,10 @@ def inspect(options: InspectCommand) -> Inspector:
         stack.callback(inspector.release)
         topics: list[Callable[[], list[PageSection] | PageSection | None]] = [
             *(partial(topic, inspector) for topic in (drawn.looks, drawn.face, drawn.posed, drawn.levels)),
-            lambda: drawn.turntable(inspector, options.turns),
             # VTK makes contexts of its own: ours draws before, and is gone then
             context.release,
-            lambda: surface.weights(inspector, options.joint),
             *(partial(topic, inspector) for topic in (
-                surface.parts, surface.texels, surface.seams, surface.cones, surface.triangles,
+                surface.weights, surface.parts, surface.texels, surface.seams, surface.cones, surface.triangles,
                 accuracy.field_distance, accuracy.provenance,
             )),
         ]  # fmt: skip
@@ -52,7 +50,7 @@ def inspect(options: InspectCommand) -> Inspector:
             found |= {s.key: s for s in (made if isinstance(made, list) else [made]) if s is not None}
         inspector.sections += [found[key] for key in SECTIONS if key in found]
         for picture in (picture for section in inspector.sections for picture in section.pictures):
-            (folder / f"{picture.name}.{picture.kind}").write_bytes(picture.data)
+            (folder / f"{picture.name}.png").write_bytes(picture.data)
         lines = [f"{path.name}, {plural(len(avatar.levels), 'level')}, view dependence: {avatar.default_view}"]
         lines += [] if run is None else [f"run: {run.name}"]
         (folder / "inspect.html").write_text(page(avatar.name, lines, inspector.checks, inspector.sections), "utf-8")

@@ -87,7 +87,7 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
         stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, rung,
         "good" if command.share is not None else command.quality, command.context, command.gpu,
     )  # fmt: skip
-    shared = bool(command.resume or command.part or command.workers)
+    shared = bool(command.resume or command.workers)
     if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
         film_at_once(command, shot, stage, context)
     else:
@@ -186,10 +186,8 @@ def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Con
     path = Path(command.output)
     shot = replace(shot, scene=with_whole_paths(shot.scene))
     parts = Parts(path, shot.start, shot.stop, shot.identity())
-    parts.begin(resume=command.resume or command.part is not None)
-    wanted = parts.share(*command.part) if command.part else parts.ranges
-    missing = [part for part in parts.missing() if part in wanted]
-    total = sum(b - a for a, b in wanted)
+    parts.begin(resume=command.resume)
+    missing, total = parts.missing(), shot.stop - shot.start
     present = total - sum(b - a for a, b in missing)
     if present:
         print(f"{present} of {plural(total, 'frame')} {'is' if present == 1 else 'are'} in {parts.folder}")
@@ -213,11 +211,6 @@ def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Con
             parts.discard()
         raise
     print_notes(stage, notes)
-    left = parts.missing()
-    if command.part and left:
-        print(f"{parts.folder}: share {command.part[0]} of {command.part[1]} is there, {len(left)} of "
-              f"{len(parts.ranges)} parts are missing; --resume joins them")  # fmt: skip
-        return
     join_pieces(list(map(parts.piece, parts.ranges)), path, shot.rate)
     parts.discard()
     print_result(shot, path, f"in {plural(len(parts.ranges), 'part')}, written in {time.perf_counter() - began:.1f} s")

@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 11_265,
     "train": 5_355,
     "bake": 4_442,
-    "player": 17_733,
-    "shaders": 972,
+    "player": 17_651,
+    "shaders": 971,
     "synth": 2_688,
-    "bench": 5_567,
+    "bench": 5_514,
     "selfscan": 432,
-    "tests": 32_650,
+    "tests": 32_608,
 }
 
 

@@ -1,4 +1,4 @@
-"""Films in parts: stopped and gone on with, shared out, drawn by workers; always the film made in one go."""
+"""Films in parts: stopped and gone on with, drawn by workers; always the film made in one go."""
 
 import hashlib
 import re
@@ -130,12 +130,7 @@ def test_stopped_before_its_first_part_is_whole_nothing_is_left(arguments, tmp_p
     assert list(tmp_path.iterdir()) == []
 
 
-def test_shares_in_any_order_and_a_gif_in_parts_are_the_film_in_one_go(arguments, films, tmp_path, capsys):
-    out = tmp_path / "film.mp4"
-    render_main([*arguments, "-o", str(out), "--part", "2/2"])
-    assert not out.exists() and "1 of 3 parts are missing" in capsys.readouterr().out
-    render_main([*arguments, "-o", str(out), "--part", "1/2"])
-    assert decoded(out) == decoded(films / "film.mp4")
+def test_a_gif_in_parts_is_the_gif_in_one_go(arguments, tmp_path):
     for name, more in (("a.gif", []), ("b.gif", ["--resume"])):
         render_main([*arguments, "-o", str(tmp_path / name), *more])
     assert decoded(tmp_path / "a.gif") == decoded(tmp_path / "b.gif")
@@ -212,16 +207,11 @@ def test_a_part_that_lost_frames_is_noticed(arguments, tmp_path, films):
 
 
 @pytest.mark.parametrize(("start", "stop"), [(0, 1), (0, 20), (0, 21), (5, 55), (20, 40), (19, 21), (39, 120), (7, 8)])
-def test_every_frame_is_in_one_part_and_in_one_share(start, stop):
+def test_every_frame_is_in_one_part(start, stop):
     parts = Parts(Path("film.mp4"), start, stop, {})
     frames = [frame for part in parts.ranges for frame in range(*part)]
     assert frames == list(range(start, stop))
     assert all(first % 20 == 0 for first, _ in parts.ranges[1:])  # wherever the film begins
-    for count in (1, 2, 3, 7):
-        shares = [part for k in range(count) for part in parts.share(k + 1, count)]
-        assert shares == parts.ranges
-        sizes = [len(parts.share(k + 1, count)) for k in range(count)]
-        assert max(sizes) - min(sizes) <= 1
 
 
 def test_a_turntable_and_a_camera_path_are_films(arguments, tmp_path):

@@ -14,9 +14,9 @@ from avatar.skeleton import skin_transforms
 from avatar.skinning import blended_rotations
 from player.draw.posing import posed_vertices
 from player.effects.background_source import read_panorama
-from player.effects.light import Light, background_gains
+from player.effects.light import Light
 from player.effects.panorama import direction_from_pixel
-from player.effects.panorama_light import GAINS, LUMINANCE, NORMALS, fitted_light, gains_of, irradiance, linear_mean
+from player.effects.panorama_light import LUMINANCE, NORMALS, fitted_light, irradiance
 from player.film.shot import Shot, with_whole_paths
 from player.scene.effects import PLAIN
 from player.scene.scene import Scene, SceneAvatar
@@ -166,21 +166,6 @@ def test_a_panorama_that_is_nowhere_or_black_is_refused(render, avatar, behind):
         fitted_light(np.zeros((32, 64, 3)), 0.0, gamma=1.0, most=4)
 
 
-@pytest.mark.parametrize("kind", ["image", "hdr"])
-def test_avatars_are_fitted_to_what_is_behind(render, shown, avatar, pose, behind, kind):
-    """Every color times the same gains, which the reason says."""
-    plain = shown(OFF)
-    fitted = render(avatar, SIZE, effects=replace(OFF, light=Light(fit="background")), background=behind[kind])
-    image, body = fitted.draw([pose], CAMERA), plain[..., 3] > 0
-    gains = np.array(background_gains(behind[kind]))
-    assert (gains != 1).all() and ((gains >= 0.5) & (gains <= 2)).all()
-    expected = np.clip(plain[body][:, :3] * gains, 0, 255)
-    assert np.abs(image[body][:, :3] - expected).max() <= 1.01
-    assert " ".join(f"{gain:.2f}" for gain in gains) in why_of(fitted)
-    if kind == "image":
-        assert gains[0] > gains[1] > gains[2], "warm behind, warm before"
-
-
 def test_light_that_changes_nothing_is_the_plan_without_it(render, context, avatar, pose):
     """Even light of 1 on an avatar whose file tells none, and the capture's where there is none."""
     for light in (Light("lamps", ambient=1.0, strength=0.0), Light("capture"), Light("albedo")):
@@ -236,14 +221,3 @@ def test_an_evening_sky_is_met_to_some_percent_and_no_lamp_is_negative(within, g
     off = off_by(light, panorama, 0.4, normals)
     within(off, 0.12)
     assert abs(off - off_by(light, panorama, 0.4)) < 0.02
-
-
-def test_gains_follow_brightness_by_half_and_the_mean_is_of_linear_light():
-    assert gains_of(np.full(3, 0.18)) == (1.0, 1.0, 1.0)
-    warm = gains_of(np.array([0.36, 0.18, 0.09]))
-    assert warm[0] > 1 == warm[1] > warm[2] and warm[0] == pytest.approx(1 / warm[2])
-    assert gains_of(np.zeros(3)) == (GAINS[0],) * 3 and gains_of(np.full(3, 1e6)) == (GAINS[1],) * 3
-    pixels = np.zeros((2, 4, 3))
-    pixels[:, 2:] = 1.0
-    np.testing.assert_allclose(linear_mean(pixels), 0.5)
-    np.testing.assert_allclose(linear_mean(np.full((2, 2, 3), 0.46)), 0.18, atol=2e-3)
