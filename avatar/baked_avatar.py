@@ -63,8 +63,8 @@ class Level:
     # v in [0, 1], 0 where no camera looked
     view_seen: Float32[Array, "vertices"]
     base_color: UInt8[Array, "height width 3"]  # sRGB
-    # 4 or 8, linear, f = value / 255
-    features: UInt8[Array, "feature_height feature_width planes"] | None
+    # linear, f = value / 255
+    features: UInt8[Array, "feature_height feature_width 4"] | None
     # mean S and H (avatar/light.py) that the base colour shows; None: they are not separated from the albedo
     light: Float32[Array, "vertices 2"] | None = None
     # None: the file has no helper joints
@@ -95,29 +95,12 @@ class Level:
 
 @dataclass(frozen=True)
 class ViewNetwork:
-    """The view network, y of x = [f, t' (3), |t'|], in one of two sizes.
+    """The view network of x = [f (4), t' (3), |t'|]: y = w2 relu(w1 x + b1) + b2, 8 -> 16 -> 3."""
 
-    4 features: y = w2 relu(w1 x + b1) + b2, 8 -> 16 -> 3.
-    8 features: y = w3 relu(w2 relu(w1 x + b1) + b2) + b3, 12 -> 16 -> 16 -> 3.
-    """
-
-    w1: Float32[Array, "16 inputs"]
+    w1: Float32[Array, "16 8"]
     b1: Float32[Array, "16"]
-    w2: Float32[Array, "outputs 16"]
-    b2: Float32[Array, "outputs"]
-    w3: Float32[Array, "3 16"] | None = None
-    b3: Float32[Array, "3"] | None = None
-
-    @property
-    def features(self) -> int:
-        """How many features of the surface point it reads."""
-        return 4 if self.w3 is None else 8
-
-    @property
-    def layers(self) -> tuple[tuple[Array, Array], ...]:
-        """Weights and biases, first layer first."""
-        first = ((self.w1, self.b1), (self.w2, self.b2))
-        return first if self.w3 is None or self.b3 is None else (*first, (self.w3, self.b3))
+    w2: Float32[Array, "3 16"]
+    b2: Float32[Array, "3"]
 
 
 @dataclass(frozen=True)
@@ -131,7 +114,7 @@ class Avatar:
     levels: tuple[Level, ...]  # finest first
     # colour = clamp(base + A |t'| y / (1 + |y|))
     network: ViewNetwork | None
-    linear: Float32[Array, "features 3 3"] | None  # colour = clamp(base + (sum_i f_i M_i) t')
+    linear: Float32[Array, "4 3 3"] | None  # colour = clamp(base + (sum_i f_i M_i) t')
     # A, the largest change of colour per unit of |t'|
     amplitude: float
     default_view: Literal["network", "linear", "off"]
@@ -162,16 +145,12 @@ LEVEL_ARRAYS = {
     "view_q": ("float32", (ROWS, 6)),
     "view_seen": ("float32", (ROWS,)),
     "base_color": ("uint8", (-1, -1, 3)),
-    "features": ("uint8", (-1, -1, -1)),
+    "features": ("uint8", (-1, -1, 4)),
     "light": ("float32", (ROWS, 2)),
     "loose": ("float32", (ROWS,)),
 }
 MAY_BE_NONE = ("features", "light", "loose")
-FEATURES = (4, 8)  # a texel may hold
-NETWORK_ARRAYS = {  # number of features: the network's arrays
-    4: {"w1": (16, 8), "b1": (16,), "w2": (3, 16), "b2": (3,)},
-    8: {"w1": (16, 12), "b1": (16,), "w2": (16, 16), "b2": (16,), "w3": (3, 16), "b3": (3,)},
-}
+NETWORK_ARRAYS = {"w1": (16, 8), "b1": (16,), "w2": (3, 16), "b2": (3,)}
 
 
 def check_level(level: Mapping[str, Any], where: str) -> None:
@@ -181,14 +160,12 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
         if values is not None or name not in MAY_BE_NONE:
             rows = tuple(len(level["positions"]) if n == ROWS else n for n in shape)
             _check_array(values, f"{where}.{name}", dtype, rows)
-    count, features, light, loose = len(level["positions"]), *(level.get(name) for name in MAY_BE_NONE)
+    count, light, loose = len(level["positions"]), level.get("light"), level.get("loose")
     if light is not None:
         right = (light[:, 0] >= 0.009) & (light[:, 0] < 100) & (light[:, 1] >= 0) & (light[:, 1] < 100)
         _check_rows(right, f"{where}.light", "S from .01 and H from 0, both below 100", light)
     if loose is not None:
         _check_rows((loose >= 0) & (loose <= 1), f"{where}.loose", "from 0 to 1", loose)
-    if features is not None and features.shape[2] not in FEATURES:
-        raise ValueError(f"{where}.features should be 4 or 8 a texel, are {features.shape[2]}")
 
     _check_rows(level["faces"].max(axis=1) < count, f"{where}.faces", f"below {count}", level["faces"])
     for name in ("normals", "view_dir"):
@@ -220,15 +197,6 @@ def _check_twist(twist: TwistSkin, joints: Array, weights: Array, where: str) ->
     folded_joints, folded_weights = twist.folded()
     same = (folded_weights == weights).all(1) & ((folded_joints == joints) | (weights == 0)).all(1)
     _check_rows(same, f"{where}.twist.weights", "those of the 52 joints, divided", twist.weights)
-
-
-def _check_network(network: Mapping[str, Array | None]) -> None:
-    """Refuse weights of a view network that have another shape than one of its two sizes, or are not finite."""
-    arrays = NETWORK_ARRAYS[4 if network.get("w3") is None else 8]
-    for name, shape in arrays.items():
-        _check_array(network[name], f"network.{name}", "float32", shape)
-    if network.get("b3") is not None and "b3" not in arrays:
-        raise ValueError("network.b3 should be absent where w3 is, is not")
 
 
 def check_avatar(avatar: Avatar) -> None:
@@ -268,18 +236,11 @@ def check_avatar(avatar: Avatar) -> None:
     sizes = [len(level.faces) for level in avatar.levels]
     if sizes != sorted(sizes, reverse=True):
         raise ValueError(f"levels should go from finest to coarsest, have {sizes} faces")
-    read = {f"levels[{i}].features": level.features.shape[2] for i, level in enumerate(avatar.levels)
-            if level.features is not None}  # fmt: skip
     if avatar.network is not None:
-        _check_network(vars(avatar.network))
-        read["network"] = avatar.network.features
+        for name, shape in NETWORK_ARRAYS.items():
+            _check_array(getattr(avatar.network, name), f"network.{name}", "float32", shape)
     if avatar.linear is not None:
-        if len(avatar.linear) not in FEATURES:
-            raise ValueError(f"linear should be 4 or 8 matrices, is {avatar.linear.shape}")
-        _check_array(avatar.linear, "linear", "float32", (len(avatar.linear), 3, 3))
-        read["linear"] = len(avatar.linear)
-    if len(set(read.values())) > 1:
-        raise ValueError(f"features should be as many everywhere, are {read}")
+        _check_array(avatar.linear, "linear", "float32", (4, 3, 3))
     if not (np.isfinite(avatar.amplitude) and 0 <= avatar.amplitude <= 1):
         raise ValueError(f"amplitude should be from 0 to 1, is {avatar.amplitude}")
     try:

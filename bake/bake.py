@@ -50,7 +50,6 @@ from bake.run_capture import RunVideos, run_videos
 from bake.texture.pixel_reads import view_change
 from bake.texture.texels import TexelMap, rasterise_charts
 from bake.texture.video_texture import with_video_textures
-from bake.truth import Mode, TrueViews, measured_default, read_true_views
 from bake.twist import with_twist
 from capture.check.unseen import unseen_places
 from capture.folder import CaptureSubject
@@ -75,21 +74,15 @@ def bake(
 ) -> Avatar:
     """Bake a run folder into NAME.glb (and NAME.onnx where a network is shipped).
 
-    `capture` is where the videos lie, else run.json says where; with a `capture` that holds true pictures these decide
-    which view mode is the file's default.
+    `capture` is where the videos lie, else run.json says where.
 
     Raises:
         AssetError: the videos are asked for and nowhere, or the run or the capture is unusable.
     """
-    given = None if capture is None else Path(capture)
-    by_field = options.texture_from == "field"
-    # with nothing else to take from the capture, its truth is what was meant
-    true = None
-    if given is not None and (by_field or (given / "truth" / "novel_pose").is_dir()):
-        true = read_true_views(given, options.truth_poses)
     run = read_run(Path(run_path))
-    videos = None if by_field else run_videos(run.path, run.provenance, given)
-    return bake_run(run.bake_source, Path(out), options, progress, true, videos)
+    given = None if capture is None else Path(capture)
+    videos = None if options.texture_from == "field" else run_videos(run.path, run.provenance, given)
+    return bake_run(run.bake_source, Path(out), options, progress, videos)
 
 
 @one_thread()
@@ -98,7 +91,6 @@ def bake_run(
     out: Path,
     options: BakeOptions,
     report: Callable[[str], None] = print,
-    true: TrueViews | None = None,
     videos: RunVideos | None = None,
 ) -> Avatar:
     """As `bake`, for a run already read; without `videos` the textures are the field's."""
@@ -113,7 +105,6 @@ def bake_run(
     facts: Facts = {
         "faces": options.faces,
         "texture": options.texture,
-        "quality": options.quality,
         "seed": options.seed,
         "surface": surface_facts(extraction),
         "template_kept": given_up,
@@ -149,9 +140,9 @@ def bake_run(
     facts["levels"] = [level.facts for level in levels]
     steps = " / ".join(f"{level.facts['seam_step']['seen_p99']:.1f}" for level in levels)
     clock(f"textures from the {facts['texture_from']}: chart edges step p99 {steps} of 255 beyond the picture's own")
-    view, facts["default_view"] = chosen_view(avatar, distilled, true)
-    clock(f"default view: {view} ({facts['default_view']['reason']})")
-    return written(replace(avatar, default_view=view), out, facts, options, clock)
+    facts["default_view"] = {"mode": distilled.default_view, "reason": distilled.reason}
+    clock(f"default view: {distilled.default_view} ({distilled.reason})")
+    return written(avatar, out, facts, options, clock)
 
 
 def surface_facts(extraction: Extraction) -> Facts:
@@ -253,14 +244,6 @@ def avatar_light(light: CaptureLight | None, provenance: Facts) -> CaptureLight 
     return light.turned(matrix_from_axis_angle(np.array([0.0, -heading, 0.0])), "world")
 
 
-def chosen_view(avatar: Avatar, distilled: Distilled, true: TrueViews | None) -> tuple[Mode, Facts]:
-    """The default view mode, and what the file says about it: by the truth where it is known, else the field."""
-    if true is None:
-        return distilled.default_view, {"mode": distilled.default_view, "by": "field", "reason": distilled.reason}
-    mode, facts = measured_default(avatar, true)
-    return mode, {"mode": mode, **facts, "richest": distilled.reason}
-
-
 def run_surface(surface: Surface, joint_count: int) -> SourceSurface:
     """The run's surface in double precision, its triangles facing outwards, and its view statistics as cones."""
     vertices = np.asarray(surface.vertices, np.float64)
@@ -336,8 +319,7 @@ def bake_levels(
     def distilled_finest() -> Distilled:
         surface, data, _ = surfaces[0]
         points = surface_points(field, surface, data, options)
-        high, seed = options.quality == "high", options.seed
-        return distil(field.color, points, high=high, seed=seed, steps=options.steps, report=clock.report)
+        return distil(field.color, points, seed=options.seed, steps=options.steps, report=clock.report)
 
     def leveled(one: tuple[LayeredMesh, TransferredData, int]) -> BakedLevel:
         surface, data, size = one

@@ -13,10 +13,7 @@ HELP = """Bake a trained run into one avatar file.
 
 The fused field becomes one closed mesh (30k triangles, with 10k, 3k and 1k beside it), one texture atlas per
 level, skin weights for the 52 joints, and, where the person's look really depends on the view, a tiny network.
-The file is a plain glTF binary that any viewer opens. What baking lost is measured and written into the file.
-
-With --capture (a capture that holds the truth, as `selfscan synth` writes it) every view mode of the file is
-compared with true pictures that training never saw, and the best becomes the file's default; the file says so."""
+The file is a plain glTF binary that any viewer opens. What baking lost is measured and written into the file."""
 
 
 ABOUT = Help(
@@ -34,12 +31,14 @@ class BakeCommand:
     capture: Annotated[
         Path | None,
         Option(metavar="CAPTURE"),
-        "its videos, where run.json does not find them; where it holds the truth, that chooses the default view mode",
+        "its videos, where run.json does not find them",
     ] = None
 
     def __post_init__(self):
         if self.out.suffix.lower() != ".glb":
             raise ValueError(f"-o should name a .glb file, is {self.out}")
+        if self.capture is not None and self.options.texture_from == "field":
+            raise ValueError("--capture names the videos, which --texture-from field does not read")
 
 
 def main(argv: list[str]) -> int:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from scipy.ndimage import binary_erosion
 
 from avatar.camera import Camera, orbit_camera, pixel_rays
 from avatar.gltf.avatar_file import Avatar
@@ -14,13 +15,17 @@ from avatar.rotation import unit_or_zero
 from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
 from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, interpolated
-from bake.truth import modes_of, scored_mask
 from geometry.isosurface import PointFunction, project_to_zero
 from geometry.mesh import TriangleMesh, blended
 from geometry.sample import stratified_samples
 
 HEAD = 15
 LEFT_MIDDLE, RIGHT_MIDDLE = 25, 40
+
+
+def scored_mask(mask: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
+    """The mask eroded by one pixel: silhouettes differ by a fraction of a pixel in any two rasterisers."""
+    return binary_erosion(mask, np.ones((3, 3), bool), border_value=0)
 
 
 class ScoredView(NamedTuple):
@@ -143,10 +148,11 @@ class BakeScore(NamedTuple):
 def compare(avatar: Avatar, surface: FieldSurface, views: list[ScoredView]) -> BakeScore:
     """Draw every view of field and file, in all modes that the file holds, and score them."""
     from player.draw.raster import Rasteriser
+    from player.effects.avatar import views_of
     from player.gl.context import open_context
     from player.scene.renderer import Renderer
 
-    modes = modes_of(avatar)
+    modes = views_of(avatar)[::-1]
     errors = {view.group: dict.fromkeys(["paper", *modes], PooledError()) for view in views}
     per_view = {}
     context = open_context()

@@ -2,14 +2,12 @@
 
     color = clamp(base + A |t'| y / (1 + |y|)),   y = W2 relu(W1 x + b1) + b2,   x = [f (4), t' (3), |t'|]
 
-f are four 8-bit features of the surface point (eight, and a second hidden layer, in high quality). The teacher's
-residual is C(x, d') - C(x, d_bar), so at
-d = d_bar the result is the paper's color whatever the weights. A linear residual (sum f_i M_i) t' over the
-same features is always fitted as well, and ships alone where the network gains less than 0.3 dB over it.
+f are four 8-bit features of the surface point. The teacher's residual is C(x, d') - C(x, d_bar), so at d = d_bar the
+result is the paper's color whatever the weights. A linear residual (sum f_i M_i) t' over the same features is always
+fitted as well, and ships alone where the network gains less than 0.3 dB over it.
 """
 
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -65,14 +63,14 @@ class Distilled(NamedTuple):
 
 
 class FeatureEncoder(nn.Module):
-    """Surface point -> four or eight features in [0, 1], rounded to 1/255 with the gradient passed straight through.
+    """Surface point -> four features in [0, 1], rounded to 1/255 with the gradient passed straight through.
 
     The encoder ties texels together, so that a few hundred thousand teacher colors are enough for a million
     texels; it is thrown away after its output is stored. Position enters as sines of up to 2^5 periods per
     2 m (about 6 cm): a residual of the view varies no faster.
     """
 
-    def __init__(self, features: int = 4, *, width: int = 48, octaves: int = 6):
+    def __init__(self, *, width: int = 48, octaves: int = 6):
         super().__init__()
         self.octaves = octaves
         self.layers = nn.Sequential(
@@ -80,7 +78,7 @@ class FeatureEncoder(nn.Module):
             nn.ReLU(),
             nn.Linear(width, width),
             nn.ReLU(),
-            nn.Linear(width, features),
+            nn.Linear(width, 4),
         )
 
     def inputs(self, surface: SurfacePoints) -> Float[torch.Tensor, "n inputs"]:
@@ -123,9 +121,8 @@ def network_residual(
 ) -> Float[Array, "n 3"]:
     """A |t'| y / (1 + |y|) in float64: the reference of the shader."""
     x = network_inputs(features, tangent)
-    y = x
-    for number, (weights, bias) in enumerate(network.layers):
-        y = (np.maximum(y, 0) if number else y) @ np.asarray(weights, np.float64).T + bias
+    w1, b1, w2, b2 = (np.asarray(values, np.float64) for values in vars(network).values())
+    y = np.maximum(x @ w1.T + b1, 0) @ w2.T + b2
     return AMPLITUDE * x[:, -1:] * y / (1 + np.abs(y))
 
 
@@ -150,13 +147,12 @@ def distil(
     color: ColorFunction,
     surface: SurfacePoints,
     *,
-    high: bool = False,
     seed: int = 0,
     steps: int = 1200,
     batch: int = 2048,
     report: Callable[[str], None] = lambda line: None,
 ) -> Distilled:
-    """Features, network and linear residual for the cone field color(points, directions); `high`, the large ones.
+    """Features, network and linear residual for the cone field color(points, directions).
 
     One eighth of the surface points is kept out and scores the modes. When the field's own view dependence
     inside the cone is below what can be seen, or nothing beats the paper's color, nothing is shipped and the
@@ -180,9 +176,8 @@ def distil(
         reason = f"within the cone the field is {scores['off']:.1f} dB near its own paper mode: nothing to be seen"
         return Distilled(None, None, "off", None, scores, reason)
 
-    count = 8 if high else 4
     samples = ResidualSamples(surface, tangent, residual, kept)
-    encoder, linears = trained(samples, count, rng=rng, seed=seed, steps=steps, batch=batch)
+    encoder, linears = trained(samples, rng=rng, seed=seed, steps=steps, batch=batch)
 
     def features_of(points: SurfacePoints) -> UInt8[Array, "n features"]:
         with torch.no_grad():
@@ -209,15 +204,14 @@ class ResidualSamples(NamedTuple):
 
 
 def trained(
-    samples: ResidualSamples, count: int, *, rng: np.random.Generator, seed: int, steps: int, batch: int
+    samples: ResidualSamples, *, rng: np.random.Generator, seed: int, steps: int, batch: int
 ) -> tuple[FeatureEncoder, list[nn.Linear]]:
-    """The encoder of `count` features and the layers of the network, fitted together with a linear residual."""
+    """The encoder of the features and the layers of the network, fitted together with a linear residual."""
     torch.manual_seed(seed)
-    encoder = FeatureEncoder(count)
-    sizes = (count + 4, 16, 16, 3) if count == 8 else (count + 4, 16, 3)
-    linears = [nn.Linear(*pair) for pair in pairwise(sizes)]
-    layers = nn.Sequential(*[stage for linear in linears for stage in (linear, nn.ReLU())][:-1])
-    matrices = nn.Parameter(torch.zeros(count, 3, 3))
+    encoder = FeatureEncoder()
+    linears = [nn.Linear(8, 16), nn.Linear(16, 3)]
+    layers = nn.Sequential(linears[0], nn.ReLU(), linears[1])
+    matrices = nn.Parameter(torch.zeros(4, 3, 3))
     inputs = encoder.inputs(samples.surface)
     tangents = torch.from_numpy(samples.tangent.astype(np.float32))
     targets = torch.from_numpy(samples.residual.astype(np.float32))
@@ -259,26 +253,21 @@ def choose(
 
 
 def write_onnx(path: Path, network: ViewNetwork) -> None:
-    """The network alone, x (n, 8) -> y (n, 3), for ONNX Runtime: the reference the shader is tested against.
-
-    The large network's x is (n, 12).
-    """
+    """The network alone, x (n, 8) -> y (n, 3), for ONNX Runtime: the reference the shader is tested against."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
-    weights, nodes, last = {}, [], len(network.layers)
-    for number, (weight, bias) in enumerate(network.layers, 1):
-        weights |= {f"w{number}": weight, f"b{number}": bias}
-        names = ["x" if number == 1 else f"h{number - 1}", f"w{number}", f"b{number}"]
-        nodes.append(helper.make_node("Gemm", names, ["y" if number == last else f"z{number}"], transB=1))
-        if number < last:
-            nodes.append(helper.make_node("Relu", [f"z{number}"], [f"h{number}"]))
+    nodes = [
+        helper.make_node("Gemm", ["x", "w1", "b1"], ["z1"], transB=1),
+        helper.make_node("Relu", ["z1"], ["h1"]),
+        helper.make_node("Gemm", ["h1", "w2", "b2"], ["y"], transB=1),
+    ]
     graph = helper.make_graph(
         nodes,
         "view_network",
-        [helper.make_tensor_value_info("x", TensorProto.FLOAT, ["n", network.features + 4])],
+        [helper.make_tensor_value_info("x", TensorProto.FLOAT, ["n", 8])],
         [helper.make_tensor_value_info("y", TensorProto.FLOAT, ["n", 3])],
-        [numpy_helper.from_array(np.asarray(value, np.float32), name) for name, value in weights.items()],
+        [numpy_helper.from_array(np.asarray(value, np.float32), name) for name, value in vars(network).items()],
     )
     model = helper.make_model(
         graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8, producer_name="selfscan"

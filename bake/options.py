@@ -12,10 +12,6 @@ class BakeOptions:
 
     faces: Annotated[int, AtLeast(200), AtMost(10_000_000), "triangles of the finest level"] = 30_000
     texture: Annotated[int, AtLeast(64), AtMost(8192), "its atlas, texels per side, a power of two"] = 2048
-    quality: Annotated[
-        Literal["normal", "high"],
-        "view network: normal (4 features, 8-16-3) or high (8 features, 12-16-16-3: twice the feature images)",
-    ] = "normal"
     texture_from: Annotated[
         Literal["videos", "field"],
         "videos: solved against the frames of the run's capture; field: as trained, the paper's own colors",
@@ -37,7 +33,6 @@ class BakeOptions:
     ] = 4
     image: Annotated[int, Hidden(), "pixels per side of the pictures that are compared"] = 512
     seed: Annotated[int, Hidden(), "of all random numbers"] = 0
-    truth_poses: Annotated[int, Hidden(), "of each held-out set, to choose the default view by, and to judge it"] = 6
 
     def __post_init__(self):
         if self.texture & (self.texture - 1):

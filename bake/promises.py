@@ -2,6 +2,7 @@
 
 from typing import Any, TypeAlias
 
+from avatar.baked_avatar import Avatar
 from bake.options import BakeOptions
 
 # what the file's provenance says of a bake: JSON's values by name
@@ -15,6 +16,18 @@ SEAM_STEP = 3.8
 FILE_SIZE = 12e6
 # metres: about as tall as the people who are filmed
 PERSON_MM = 1700.0
+
+
+def baked_facts(avatar: Avatar) -> Facts:
+    """What the bake of an avatar file wrote into it; empty where it did not."""
+    baked = avatar.provenance.get("baked")
+    return baked if isinstance(baked, dict) else {}
+
+
+def recorded_loss(avatar: Avatar) -> Facts:
+    """What the file says that it lost against its field; empty where it does not say."""
+    against = baked_facts(avatar).get("against_field")
+    return against if isinstance(against, dict) else {}
 
 
 def missed_promises(facts: Facts, options: BakeOptions, size: int) -> list[str]:
@@ -56,6 +69,6 @@ def missed_promises(facts: Facts, options: BakeOptions, size: int) -> list[str]:
 
 
 def file_limit(options: BakeOptions) -> float:
-    """Bytes that the file may have: more where more texels, triangles or features were asked for."""
+    """Bytes that the file may have: more where more texels or triangles were asked for."""
     more = max(1.0, (options.texture / 2048) ** 2, options.faces / 30_000)
-    return FILE_SIZE * more * (4 / 3 if options.quality == "high" else 1.0)
+    return FILE_SIZE * more

@@ -23,8 +23,8 @@ class EvalCommand:
         "LPIPS's weights, which are not shipped: one file of the whole network's state dictionary, or torchvision's "
         "AlexNet and the lpips package's linear layers (bench/score/lpips.py says how)"] = ()
     run: Annotated[Path | None, Option(metavar="RUN"),
-        "run the avatar was baked from: measures again what the file says was lost, and on held-out pictures; avatars "
-        "from pixels need it, since their poses are fitted to those pictures with its template"] = None
+        "run the avatar was baked from: its template before training stands beside; avatars from pixels need it, "
+        "since their poses are fitted to the held-out pictures with that template"] = None
 
 
 EVAL = Help(

@@ -128,3 +128,12 @@ def read_arrays(
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise AssetError(f"{path}: {name} is not finite, first at {tuple(np.argwhere(~np.isfinite(array))[0])}")
     return fields
+
+
+def some_poses(views: list[HeldOutView], count: int | None) -> list[HeldOutView]:
+    """The views of `count` poses spread evenly over the set; all of them for None."""
+    numbers = sorted({int(view.pose_index) for view in views})
+    if count is None or count >= len(numbers):
+        return views
+    kept = {numbers[i] for i in np.linspace(0, len(numbers) - 1, count).round().astype(int)}
+    return [view for view in views if view.pose_index in kept]

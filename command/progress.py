@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from io import TextIOBase
 from typing import NamedTuple, TextIO, TypeVar
 
@@ -55,8 +56,8 @@ class Progress:
         self.shown = now
         spent = now - self.began
         share = min(done / max(self.total, 1), 1.0)
-        left = duration(spent / share - spent) if share > 0 else "?"
-        text = f"{self.label} {int(done)}/{self.total}  {duration(spent)}, {left} left  {note}".rstrip()
+        left = None if share <= 0 else spent / share - spent
+        text = f"{self.label} {int(done)}/{self.total}  {clock_time(spent)}, {_left_text(left)}  {note}".rstrip()
         if live:
             text = f"\r\x1b[K{_bar(share, 24)} {text}"
         self.display.write(text if live and not last else text + "\n")
@@ -81,26 +82,37 @@ class _Job:
     # time and count of its first report: preparation is over
     first: tuple[float, int] | None = None
     last: tuple[float, int] | None = None
-    ended: float | None = None
-    # share of the preparation that is done, in [0, 1]
-    prepared: float = 0.0
+    ended: bool = False
     note: str = ""
+
+    @property
+    def rate(self) -> float | None:
+        """Seconds per count, or None before there are two reports."""
+        if self.first is None or self.last is None or self.last[1] <= self.first[1]:
+            return None
+        return (self.last[0] - self.first[0]) / (self.last[1] - self.first[1])
+
+    def left(self, now: float) -> float | None:
+        """Seconds until it is done, by its own rate."""
+        if self.rate is None or self.last is None:
+            return None
+        return max((self.total - self.last[1]) * self.rate - (now - self.last[0]), 0.0)
 
 
 class ProgressBoard:
     """Jobs that run side by side: one line each while at work, and one for all of them with the time left.
 
     On a terminal the lines are redrawn in place; elsewhere they are printed about every ten seconds. The time
-    left assumes that jobs not yet begun are as fast per count as those seen, wait for one of `workers`, and
-    that what follows the jobs takes the share `after` of their time.
+    left is the jobs' alone: those without a speed yet are taken to be as fast per count as the others, and wait for
+    one of `workers`.
     """
 
     def __init__(
-        self, totals: Mapping[str, int], workers: int, *, after: float = 0.0, stream: TextIO | TextIOBase | None = None,
+        self, totals: Mapping[str, int], workers: int, *, stream: TextIO | TextIOBase | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):  # fmt: skip
         self.display = _Display(stream)
-        self.clock, self.workers, self.after = clock, workers, after
+        self.clock, self.workers = clock, workers
         self.jobs = {name: _Job(total) for name, total in totals.items()}
         self.began = self.shown = clock()
         # lines on the terminal that the next drawing replaces
@@ -108,11 +120,6 @@ class ProgressBoard:
 
     def begin(self, name: str) -> None:
         self.jobs[name].began = self.clock()
-
-    def prepare(self, name: str, share: float) -> None:
-        """So much of what comes before the first count is done."""
-        self.jobs[name].prepared = share
-        self.refresh()
 
     def update(self, name: str, done: int, note: str = "") -> None:
         job, now = self.jobs[name], self.clock()
@@ -122,9 +129,11 @@ class ProgressBoard:
         self.refresh()
 
     def end(self, name: str) -> None:
-        job = self.jobs[name]
-        job.ended = self.clock()
-        job.began = job.ended if job.began is None else job.began
+        self.jobs[name].ended = True
+
+    def reporter(self, name: str) -> "Reporter":
+        """What a job reports by to this board."""
+        return Reporter(self.say, partial(self.update, name))
 
     def say(self, text: str) -> None:
         """A line that stays, above the others, on standard output."""
@@ -153,14 +162,12 @@ class ProgressBoard:
         """What is shown now."""
         out, width = [], max(len(name) for name in self.jobs)
         for name, job in self.jobs.items():
-            if job.began is None or job.ended is not None:
+            if job.began is None or job.ended:
                 continue
             if job.last is None:
-                spent = self.clock() - job.began
-                left = None if job.prepared <= 0 else spent / job.prepared - spent
-                out.append(f"{name:<{width}}  preparing, {clock_time(spent)} so far, {_left_text(left)}")
+                out.append(f"{name:<{width}}  preparing, {clock_time(self.clock() - job.began)} so far")
                 continue
-            left = self._left(job)
+            left = job.left(self.clock())
             line = f"{name:<{width}}  {_bar(job.last[1] / max(job.total, 1))} {job.last[1]}/{job.total}"
             out.append(f"{line}  {_left_text(left)}  {job.note}".rstrip())
         left, spent = self.left(), self.clock() - self.began
@@ -169,47 +176,18 @@ class ProgressBoard:
         return out
 
     def left(self) -> float | None:
-        """Seconds until everything is done, or None before the first job has a speed."""
-        jobs = self.jobs.values()
-        rates = [rate for rate in map(self._rate, jobs) if rate is not None]
-        preparations = [job.first[0] - job.began for job in jobs if job.first is not None and job.began is not None]
-        if all(job.ended is not None for job in jobs):
-            rates = rates or [0.0]
-        if not rates:
+        """Seconds until all jobs are done, or None before the first job has a speed."""
+        now, open_ = self.clock(), [job for job in self.jobs.values() if not job.ended]
+        rates = [rate for rate in (job.rate for job in self.jobs.values()) if rate is not None]
+        if open_ and not rates:
             return None
-        rate = sum(rates) / len(rates)
-        preparation = sum(preparations) / max(len(preparations), 1)
-        # seconds of each job still to begin; when each worker is free
-        waiting, free = [], []
-        for job in jobs:
-            if job.ended is not None:
-                continue
-            if job.began is None:
-                waiting.append(preparation + job.total * rate)
-            elif job.last is None:
-                spent = self.clock() - job.began
-                free.append(max(preparation - spent, 0.0) + job.total * rate)
-            else:
-                own = self._left(job)
-                free.append((job.total - job.last[1]) * rate if own is None else own)
-        free = (free + [0.0] * self.workers)[: max(self.workers, len(free))]
-        heapq.heapify(free)
-        for seconds in waiting:
-            heapq.heapreplace(free, free[0] + seconds)
-        longest = max(free)
-        return longest + self.after * (longest + self.clock() - self.began)
-
-    def _rate(self, job: _Job) -> float | None:
-        """Seconds per count, or None before there are two reports."""
-        if job.first is None or job.last is None or job.last[1] <= job.first[1]:
-            return None
-        return (job.last[0] - job.first[0]) / (job.last[1] - job.first[1])
-
-    def _left(self, job: _Job) -> float | None:
-        rate = self._rate(job)
-        if rate is None or job.last is None:
-            return None
-        return max((job.total - job.last[1]) * rate - (self.clock() - job.last[0]), 0.0)
+        usual = sum(rates) / max(len(rates), 1)
+        # when each worker is free: those at work first
+        free = [0.0] * self.workers
+        for job in sorted(open_, key=lambda job: job.began is None):
+            own = job.left(now)
+            heapq.heapreplace(free, free[0] + (job.total * usual if own is None else own))
+        return max(free)
 
 
 def plural(number: int, noun: str) -> str:
@@ -222,14 +200,6 @@ def clock_time(seconds: float | int) -> str:
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
-
-
-def duration(seconds: float | int) -> str:
-    """Seconds as 7 s, 12 min or 1:02 h."""
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02} h"
 
 
 def _left_text(seconds: float | int | None) -> str:
@@ -247,5 +217,3 @@ class Reporter(NamedTuple):
     say: Callable[[str], None]  # a line that stays
     # a count and a note, as often as wished
     step: Callable[[int, str], None]
-    # the share in [0, 1] of what comes before the first count
-    prepare: Callable[[float], None] = lambda share: None

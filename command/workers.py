@@ -53,10 +53,7 @@ def _in_turn(jobs: Mapping[str, T], work: Work[T, U], board: ProgressBoard, work
     results = {}
     for name, job in jobs.items():
         board.begin(name)
-        reporter = Reporter(
-            board.say, lambda done, note: board.update(name, done, note), lambda share: board.prepare(name, share)
-        )
-        results[name] = work(job, reporter)
+        results[name] = work(job, board.reporter(name))
         board.end(name)
     return results
 
@@ -128,8 +125,7 @@ class _Crew:
         except EOFError:
             process.join()
             kind, content = "lost", [process.exitcode]
-        update, prepare = partial(self.board.update, name), partial(self.board.prepare, name)
-        shown = {"say": self.board.say, "step": update, "prepare": prepare}
+        shown = self.board.reporter(name)._asdict()
         if kind in shown:
             shown[kind](*content)
             return None
@@ -161,12 +157,7 @@ def _worker(work: Work, job: object, connection: Connection) -> None:
     try:
         with prompt_stop():
             signals_arrive()
-            reporter = Reporter(
-                lambda text: send("say", text),
-                lambda done, note: send("step", done, note),
-                lambda share: send("prepare", share),
-            )
-            facts = work(job, reporter)
+            facts = work(job, Reporter(*(partial(send, kind) for kind in Reporter._fields)))
             connection.send(("done", facts))
     except Stopped as stopped:
         _send_outcome(connection, "stopped", stopped.number)

@@ -45,7 +45,6 @@ ROWS: tuple[tuple[str, Mapping[str, int | str]], ...] = (
     ("texels", {"texture": 512}),
     ("textures", {"texture_from": "field"}),
     ("textures", {"texture_from": "field", "texel_samples": 1}),
-    ("view network", {"quality": "high"}),
     ("view network", {"steps": 4800}),
     ("view network", {"steps": 300}),
     ("view network", {"steps": 30}),
@@ -55,7 +54,6 @@ WORDS = {
     "texture": "{} x {} texels",
     "texture_from": "textures from the {}",
     "texel_samples": "{} sample a texel",
-    "quality": "{} quality",
     "steps": "{} distillation steps",
 }
 # `[ 12.3 s, + 4.5] what was done: ...`

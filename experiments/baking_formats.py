@@ -112,7 +112,7 @@ def with_rounded(
 ) -> Renderer:
     """The avatar with each matrix and bias of its network rounded."""
     assert avatar.network is not None
-    network = ViewNetwork(*(to(values) for layer in avatar.network.layers for values in layer))
+    network = ViewNetwork(*map(to, vars(avatar.network).values()))
     return drawn(replace(avatar, network=network))
 
 

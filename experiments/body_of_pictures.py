@@ -54,7 +54,6 @@ def write_fit(out: Path, video: RawVideo, found: BodyAlone) -> None:
             "distance": float(-estimate.root[:, 2].mean()),
             "keypoints_off_pixels": float(np.nanmedian(misfits(estimate, footage))),
             "left_out": [video.pictures[i].name for i in np.flatnonzero(~found.video.usable)],
-            "notes": list(video.keypoints.notes),
         }
         write_json(folder / "fit.json", facts)
 

@@ -21,7 +21,6 @@ from avatar.motion.fingers import HAND_RELAXED, MIRROR, hand_pose
 from avatar.motion.read import MOTIONS_FOLDER
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, nearest_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
-from player.pose.keyframes import minimum_jerk
 
 Array = np.ndarray
 
@@ -36,6 +35,12 @@ ARM_WAVING = np.array([0.86, -0.40, 0.22, 0.12, 0.90, 0.40, 1.75, 0.10, -0.10, 0
 # A hand: curl of index, middle, pinky, ring, thumb (0 straight, 1 closed), spread (radians between neighbours)
 HAND_OPEN = np.array([0.02, 0.00, 0.04, 0.02, -0.10, 0.13])
 HAND_FIST = np.array([1.06, 1.08, 1.06, 1.08, 0.85, -0.10])
+
+
+def minimum_jerk(t: Array | float) -> Array | float:
+    """Minimum-jerk ease from 0 to 1 (Flash and Hogan 1985): 10 t^3 - 15 t^4 + 6 t^5."""
+    t = np.clip(t, 0, 1)
+    return t * t * t * (10 + t * (6 * t - 15))
 
 
 def keyed(keys: Sequence[tuple[float, Array]]) -> Callable[[float], Array]:

@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float
 
 from avatar.camera import Camera
 from avatar.skeleton import BIG_POSE
-from bake.truth import some_poses
 from bench.field.posed_field import MaskedPicture, PosableSurface
 from bench.report.writer import Json, markdown_table
 from bench.score.metrics import METRICS
@@ -25,7 +24,7 @@ from bench.score.quality_table import cells
 from bench.score.region_scores import regions_of
 from bench.score.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import read_subject
-from capture.held_out import read_held_out, read_truth_facts
+from capture.held_out import read_held_out, read_truth_facts, some_poses
 from files.npz import read_npz
 from files.picture import read_picture
 from files.whole import write_json

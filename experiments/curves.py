@@ -130,7 +130,7 @@ def trained(one: Planned, options: Options) -> bool:
     if one.given or (one.run / "run.json").exists():
         return True
     words = training_words(one.capture, one.run, one.preset, one.steps)
-    words += ["--device", options.device, "--seed", str(options.seed), "--preview", "0"]
+    words += ["--device", options.device, "--seed", str(options.seed)]
     words += ["--without", *one.without] if one.without else []
     words += ["--force"] if begun(one.run) else []
     one.run.parent.mkdir(parents=True, exist_ok=True)

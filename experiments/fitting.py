@@ -150,7 +150,7 @@ class Filming:
             found = detector.look(*pose, self.studio.posed(*pose))
             if found is not None:
                 rows[i] = found
-        return shots, chosen, keypoints_of(NAMES, rows, size, [])
+        return shots, chosen, keypoints_of(NAMES, rows, size)
 
     def _focal(self, source: Source, seed: int, size: tuple[int, int]) -> Focal:
         """What `import video` finds from the points of all four videos."""

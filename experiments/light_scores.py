@@ -16,12 +16,11 @@ from jaxtyping import Bool, Float
 from avatar.light import CaptureLight, lamps_of
 from avatar.psnr import decibels
 from bake.cores import one_thread
-from bake.truth import some_poses
 from bench.field.drawer import Drawer
 from bench.ladder.machine import machine
 from bench.score.picture_scores import SAMPLES, VIEW_REGION, region_of
 from capture.folder import read_capture
-from capture.held_out import SETS, HeldOutView, read_held_out
+from capture.held_out import SETS, HeldOutView, read_held_out, some_poses
 from experiments.table_row import digest
 from geometry.mesh import vertex_normals
 from player.draw.raster import Rasteriser

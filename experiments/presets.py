@@ -109,7 +109,7 @@ def one_preset(
     )  # fmt: skip
     torch.set_num_threads(threads)
     torch.manual_seed(seed * 4 + index)
-    ready = part_untrained(job, capture, lambda share: None)
+    ready = part_untrained(job, capture)
     field = ready.field
     fitted = time.monotonic()
     if preset.prefit:
@@ -151,7 +151,7 @@ def one_preset(
         "checkpoints": points,
         "hours_of_own_iterations": per_step * own.iterations / 3600,
         "extrapolated": settings.iterations < own.iterations,
-        "peak_memory_mb": None if memory is None else round(memory / 1e6),
+        "peak_memory_mb": round(memory / 1e6),
     }
 
 

@@ -10,7 +10,6 @@ shown with the mean code of the body's frames.
 
 import argparse
 import shutil
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import fields, replace
 from functools import partial
@@ -40,7 +39,7 @@ from train.networks.hash import HashNetworks
 from train.networks.paper import PaperNetworks
 from train.networks.triplane import TriPlaneNetworks
 from train.objective import RayTensors, ray_tensors
-from train.part_job import PartJob, Untrained, job_preview, ray_settings
+from train.part_job import PartJob, Untrained, ray_settings
 from train.preset import PartPreset, Preset, chosen_preset, without
 from train.rays import FilmedPart, part_rays
 from train.run import build_field, matrix_of, read_facts, read_part, write_part
@@ -79,26 +78,20 @@ def single_part(preset: Preset) -> PartPreset:
     return replace(body, iterations=steps, cell=cell, beta=(body.beta[0], head.beta[1]), networks=networks)
 
 
-def single_untrained(preset: Preset, job: PartJob, capture: Capture, prepared: Callable[[float], None]) -> Untrained:
-    """The single network, untrained, and the rays of all four videos; its preview is the body's.
-
-    `preset` is the four parts'.
-    """
+def single_untrained(preset: Preset, job: PartJob, capture: Capture) -> Untrained:
+    """The single network, untrained, and the rays of all four videos; `preset` is the four parts'."""
     device = torch.device(job.device)
     frames = sum(len(video.images) for video in capture.videos.values())
-    rays, cloud, flagged, lost = single_rays(job, capture, preset, prepared)
+    rays, cloud, flagged, lost = single_rays(job, capture, preset)
     template = single_template(capture, cloud, job.settings.cell)
     field = build_field(capture.subject, 0, job.settings, template, frames).to(device)
-    body = FilmedPart(part_boxes(capture.subject)[0], capture.videos["body"], capture.subject, cloud)
-    return Untrained(field, rays, flagged, lost, job_preview(job, body))
+    return Untrained(field, rays, flagged, lost)
 
 
-def single_rays(
-    job: PartJob, capture: Capture, preset: Preset, prepared: Callable[[float], None]
-) -> tuple[RayTensors, SurfaceCloud, float, float]:
+def single_rays(job: PartJob, capture: Capture, preset: Preset) -> tuple[RayTensors, SurfaceCloud, float, float]:
     """The rays of the four parts one after the other, a template cloud as fine as each part's, shares left out, lost.
 
-    Frames count through: body, head, left hand, right hand. `prepared` is called with the share done.
+    Frames count through: body, head, left hand, right hand.
     """
     subject, visible = capture.subject, visible_faces(capture.subject)
     each, clouds, flagged, lost = [], [], [], []
@@ -106,10 +99,7 @@ def single_rays(
         cloud = surface_cloud(subject, index, visible, settings.spacing)
         filmed = FilmedPart(part_boxes(subject)[index], capture.videos[name], subject, cloud,
                             job.canonical_from_head if name == "head" else None)  # fmt: skip
-        rays = part_rays(
-            filmed, ray_settings(settings, preset), np.random.default_rng([job.seed, index]),
-            lambda share, video=index: prepared((video + share) / len(PARTS)),
-        )  # fmt: skip
+        rays = part_rays(filmed, ray_settings(settings, preset), np.random.default_rng([job.seed, index]))
         each.append(ray_tensors(rays, cloud, torch.device(job.device)))
         flagged.append(rays.flagged * len(rays.ends))
         lost.append(rays.lost)

@@ -27,7 +27,6 @@ from experiments.live_sender import sending
 from player.film.film import Film
 from player.gl.context import Context, open_context
 from player.live.inbox import Inbox
-from player.live.latency import Latency
 from player.live.playback import LivePlayback
 from player.live.receiver import listen
 from player.scene.address import Address
@@ -230,11 +229,11 @@ def live_latency(
 ) -> list[Row]:
     """VMC of 55 bones at 240 Hz from another process over UDP, drawn as fast as it goes and read back; then the same
     with 10,000 spoilt packets a second beside it."""
-    inbox, latency = Inbox("vmc"), Latency()
+    inbox = Inbox("vmc")
     renderer = Renderer(context, [avatar], camera.size)
     listener = listen(Address("vmc", "127.0.0.1", 0), inbox)
     try:
-        playback = LivePlayback(inbox, listener.address, [avatar], latency=latency)
+        playback = LivePlayback(inbox, listener.address, [avatar])
         image = renderer.draw(playback.poses(), camera)
 
         def draw_for(duration: float) -> tuple[float, int]:
@@ -248,10 +247,10 @@ def live_latency(
         with sending(listener.address.port, rate=240.0):
             playback.wait_for_pose()
             draw_for(0.5)
-            latency.spans.clear()
+            playback.latency.spans.clear()
             before = inbox.counters.frames
             took, frames = draw_for(seconds)
-            rate, spans = (inbox.counters.frames - before) / took, 1000 * np.array(latency.spans)
+            rate, spans = (inbox.counters.frames - before) / took, 1000 * np.array(playback.latency.spans)
         ms = 1000 * took / frames
         with sending(listener.address.port, rate=240.0, fuzz=10_000.0):
             begun, spoilt = time.perf_counter(), inbox.counters.malformed

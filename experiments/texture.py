@@ -23,7 +23,8 @@ from avatar.gltf.avatar_file import Avatar, read_avatar, write_avatar
 from bake.bake import with_video_textures
 from bake.level import level_of_file, places_on_finest
 from bake.run_capture import run_videos
-from bake.truth import decibels_by_region, mode_errors, read_true_views
+from bench.score.view_modes import decibels_by_region, mode_errors
+from capture.held_out import SETS, read_held_out, some_poses
 from experiments.print_bands import print_bands
 from player.gl.context import open_context
 from train.run import read_facts
@@ -55,10 +56,11 @@ def main(argv: list[str] | None = None) -> int:
     found["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
     if options.out:
         write_avatar(options.out, new)
-    true = read_true_views(options.truth or options.capture, options.poses)
+    truth = options.truth or options.capture
     context = open_context()
     try:
-        for name, views in true.sets.items():
+        for name in SETS:
+            views = some_poses(read_held_out(truth, name), options.poses)
             scores = {
                 label: decibels_by_region(mode_errors(context, one, views, ["off"])["off"])
                 for label, one in (("field", avatar), ("videos", new))
@@ -66,9 +68,8 @@ def main(argv: list[str] | None = None) -> int:
             gain = {key: _difference(scores["videos"][key], scores["field"][key]) for key in scores["field"]}
             found[name] = {**scores, "gain": gain}
             print(name, json.dumps(found[name]))
-        capture = options.truth or options.capture
         found["print"] = {
-            label: print_bands(context, one, capture)._asdict() for label, one in (("field", avatar), ("videos", new))
+            label: print_bands(context, one, truth)._asdict() for label, one in (("field", avatar), ("videos", new))
         }
     finally:
         context.release()

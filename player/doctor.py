@@ -90,7 +90,6 @@ def findings() -> Findings:
     software = found["winner"] is None or found["winner"]["software"]
     card = {"devices": devices, "nodes": nodes, "nvidia": found["nvidia"], "vendors": found["egl_vendors"]}
     found["hints"] = hints(**card, software=software, container=found["container"])
-    found["encoders"] = encoders() if found["packages"]["films"]["av"] else []
     return found
 
 
@@ -167,14 +166,6 @@ def hints(
     return out
 
 
-def encoders() -> list[str]:
-    """Which H.264 encoder a film takes, and why not the ones before it."""
-    from player.film.encoder import chosen_encoder
-
-    encoder, refused = chosen_encoder(".mp4", "auto", (640, 640))
-    return [encoder.name, *refused]
-
-
 def report(found: Findings) -> str:
     """The findings in a few lines."""
     lines, vendors = [found["machine"]], found["egl_vendors"]
@@ -196,9 +187,6 @@ def report(found: Findings) -> str:
         if winner["software"]:
             lines.append("  this is the processor, not a GPU: right for CI, slower than a driver for your card")
     lines.append(f"display: {found['display'] or 'none (selfscan render needs none; selfscan play does)'}")
-    if found["encoders"]:
-        chosen, *refused = found["encoders"]
-        lines.append(f"mp4 is encoded by {chosen}" + (f" ({'; '.join(refused)})" if refused else ""))
     for extra, packages in found["packages"].items():
         there = [f"{name} {version}" for name, version in packages.items() if version]
         absent = [name for name, version in packages.items() if not version]

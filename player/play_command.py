@@ -86,8 +86,6 @@ class PlayCommand:
     budget: Annotated[float | None, TIME, Option(metavar="8ms", parse=parse_budget),
         "view mode and level are the most exact whose frames take no longer on this machine, and follow how "
         "busy it is"] = None
-    level_by_size: Annotated[bool, TIME.rare,
-        "coarser levels of detail for avatars that are small on the screen"] = False
     gui: Annotated[bool, MACHINE.rare, Option(("--no-gui",)),
         "panels are hidden at first: keys and a line of text"] = True
     platform: Annotated[str, MACHINE.rare, OneOf(("auto", "null")),
@@ -111,7 +109,7 @@ class PlayCommand:
         if self.scene and (given or (self.hands, self.ground) != ("file", "auto")):
             raise ValueError("--motion, --live, --at, --body, --hands and --ground are in the scene file")
         if live is None and self.scene is None and self.source != LiveCommand():
-            raise ValueError("--smooth, --buffer, --calibrate, --record and --latency go with --live")
+            raise ValueError("--smooth, --calibrate and --record go with --live")
         if live is not None and (self.motion or self.capture):
             raise ValueError("give --motion or --capture or --live")
         count = len(self.people)
@@ -123,7 +121,7 @@ class PlayCommand:
 
 PLAY = Help(
     "selfscan play",
-    "Avatars in a window: orbit, scrub, pick, film, compare with the video.",
+    "Avatars in a window: orbit, scrub, pick, compare with the video.",
     f"{EXAMPLES}\nh in the window lists keys and gestures; docs/play.md has more",
     command_line_help(),
 )
@@ -153,7 +151,7 @@ def scene_of(command: PlayCommand) -> Scene:
     if command.capture:
         cameras.insert(0, SceneCamera("capture", command.capture, command.part))
     scene, effects = replace(scene, cameras=tuple(cameras)), arguments.with_effects(scene.effects, command.effects)
-    return arguments.with_options(scene, effects, command.size, command.background, command.level_by_size)
+    return arguments.with_options(scene, effects, command.size, command.background)
 
 
 def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:
@@ -205,6 +203,6 @@ def _addresses(scene: Scene, command: PlayCommand) -> list[tuple[Address, list[i
     for index, entry in enumerate(scene.avatars):
         if entry.live is not None:
             found.setdefault(parse_address(entry.live, ("vmc", "udp", "ws")), []).append(index)
-    if len(found) > 1 and (command.source.record or command.source.latency):
-        raise ValueError(f"--record and --latency write one file; the scene has {len(found)} live sources")
+    if len(found) > 1 and command.source.record:
+        raise ValueError(f"--record writes one file; the scene has {len(found)} live sources")
     return list(found.items())

@@ -4,7 +4,7 @@
 // LIT: 0 the light of the videos is in the colours; the surface is lit anew (light.glsl): 1 without highlights, 2 with
 // them, 3 with them and in a power of the colours.
 // CONTACT: 1 limbs that come near darken it (contact.glsl). LOOSE: 1 hair and skirts move by themselves (loose.glsl).
-// VIEW_MODEL and VIEW_FEATURES: see view_model.glsl (asked only when VIEW_STAGE is not 0).
+// VIEW_MODEL: see view_model.glsl (asked only when VIEW_STAGE is not 0).
 #include "frame.glsl"
 #if SKINNING == 0
 #include "skinning.glsl"

@@ -1,12 +1,11 @@
 // What light.glsl found at the vertices, on a base colour. May be brighter than 1, which bytes do not hold.
-uniform vec3 gains;  // of display values, at last
 #if LIT == 3
 uniform float gamma;
 #endif
 
 #if LIT == 1
 vec3 lit(vec3 base, float factor) {
-    return base * (factor * gains);
+    return base * factor;
 }
 #else
 vec3 lit(vec3 base, vec3 factors) {
@@ -17,6 +16,6 @@ vec3 lit(vec3 base, vec3 factors) {
 #if LIT == 3
     shown = pow(clamp(shown, 1e-6, 1.0), vec3(1.0 / gamma));
 #endif
-    return shown * gains;
+    return shown;
 }
 #endif

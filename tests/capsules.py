@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+import trimesh
 
 from avatar.body import builtin_body
 from avatar.skeleton import BIG_POSE, LEFT_HAND, PARENTS, RIGHT_HAND, joint_transforms
@@ -148,3 +149,20 @@ def ball_mesh(radius: float = 0.1, step: float = 0.01) -> TriangleMesh:
     distance, normal = sphere(radius)
     corners = radius * np.array([[-1.0, -1, -1], [1, 1, 1]])
     return extract(distance, normal, Hints(corners, np.zeros(2, bool)), GridSteps(step, step)).mesh
+
+
+def icosphere(radius, centre=(0.0, 0.0, 0.0), subdivisions=3):
+    """Vertices and faces of a sphere."""
+    mesh = trimesh.creation.icosphere(subdivisions, radius)
+    return np.asarray(mesh.vertices) + centre, np.asarray(mesh.faces)
+
+
+EGG = np.array([0.07, 0.11, 0.09])
+
+
+def egg(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals of an ellipsoid of a head's size with three different axes, metres."""
+    d = np.random.default_rng(seed).normal(size=(count, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    normals = d / EGG
+    return d * EGG, normals / np.linalg.norm(normals, axis=1, keepdims=True)

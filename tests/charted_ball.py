@@ -9,6 +9,7 @@ from bake.atlas import Unwrapped, unwrap
 from bake.texture.seams import ChartEdges, chart_edges
 from bake.texture.texels import TexelMap, barycentric, rasterise_charts
 from geometry.decimate import decimate
+from geometry.mesh import TriangleMesh
 
 
 class ChartedBall(NamedTuple):
@@ -19,6 +20,7 @@ class ChartedBall(NamedTuple):
     corners: np.ndarray
     # of each texel
     points: np.ndarray
+    mesh: TriangleMesh
 
 
 def charted_ball(size: int, padding: int, *, faces: int = 800, step: float = 0.006, above: float = 1.0) -> ChartedBall:
@@ -30,4 +32,4 @@ def charted_ball(size: int, padding: int, *, faces: int = 800, step: float = 0.0
     corners = mesh.vertices[chart.source][chart.faces]
     weight = barycentric(chart.uv, chart.faces, texels, np.zeros(2))
     points = (weight[:, :, None] * corners[texels.face]).sum(1)
-    return ChartedBall(chart, texels, chart_edges(chart.uv, chart.faces, chart.source), corners, points)
+    return ChartedBall(chart, texels, chart_edges(chart.uv, chart.faces, chart.source), corners, points, mesh)

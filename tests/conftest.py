@@ -86,6 +86,14 @@ def tiny_avatar_file(made_once, tiny_run) -> Path:
 
 
 @pytest.fixture(scope="session")
+def turning(tmp_path_factory):
+    """A sound capture of a still person, cameras going round each part."""
+    from turning_capture import turning_capture
+
+    return turning_capture(tmp_path_factory.mktemp("turning") / "test")
+
+
+@pytest.fixture(scope="session")
 def run():
     """A person of capsules in the place of a trained run."""
     from capsules import make_run
@@ -167,8 +175,8 @@ def rasteriser(context):
 @pytest.fixture(scope="session")
 def backgrounds(tmp_path_factory):
     """A background of each kind: a warm dark picture, a film of a dark and a bright frame, an evening sky."""
+    from pictures import radiance_bytes, sky
     from PIL import Image
-    from radiance_writer import radiance_bytes, sky
 
     from player.effects.background import BACKGROUNDS, Background
 
@@ -288,3 +296,14 @@ def pytest_configure(config):
     path = config.getoption("--hard-cases-report")
     if path:
         config.pluginmanager.register(HardCases(Path(path)), "hard-cases")
+
+
+@pytest.fixture(scope="session")
+def pose():
+    """Both elbows, a knee, the head and all fingers bent: (axis-angle, root)."""
+    axis_angle = np.zeros((52, 3))
+    axis_angle[[18, 19], 1] = [-1.2, 1.0]
+    axis_angle[[16, 17], 2] = [-0.9, 0.7]
+    axis_angle[4, 0], axis_angle[15, 1] = 0.8, 0.5
+    axis_angle[22:37, 2], axis_angle[37:52, 2] = -0.4, 0.4
+    return axis_angle, np.array([0.1, 0.05, -0.2])

@@ -184,8 +184,7 @@ def _hand_numbers(pose: np.ndarray, body, hands: str) -> dict:
     return {"poses": [pose[1:22].ravel().tolist()], "handl": [found[0].tolist()], "handr": [found[1].tolist()]}
 
 
-def write_colmap(capture: Capture, folder: Path, *, binary: bool = True, model: str = "PINHOLE") -> Path:
-    folder.mkdir(parents=True)
+def write_colmap(capture: Capture, folder: Path, *, model: str = "PINHOLE") -> Path:
     camera = capture.videos["head"].cameras[0]
     K, d = camera.K, camera.distortion
     parameters = {
@@ -200,25 +199,22 @@ def write_colmap(capture: Capture, folder: Path, *, binary: bool = True, model: 
     for i, one in enumerate(capture.videos["head"].cameras):
         q = np.roll(quaternion_from_matrix(one.camera_from_world[:3, :3]), 1)
         rows.append((i + 1, q, one.camera_from_world[:3, 3], f"{FIRST['head'] + i:06d}.png"))
-    if binary:
-        number = [name for name, _ in MODELS].index(model)
-        head = struct.pack("<QIiQQ", 1, 3, number, *camera.size)
-        (folder / "cameras.bin").write_bytes(head + struct.pack(f"<{len(parameters)}d", *parameters))
-        data = struct.pack("<Q", len(rows))
-        for number, q, t, name in rows:
-            data += struct.pack("<I4d3dI", number, *q, *t, 3) + name.encode() + b"\0"
-            data += struct.pack("<Q", number) + struct.pack("<2dQ", 1.5, 2.5, 7) * number
-        (folder / "images.bin").write_bytes(data)
-        return folder
-    width, height = camera.size
-    (folder / "cameras.txt").write_text(
-        f"# Camera list\n3 {model} {width} {height} {' '.join(f'{p:.17g}' for p in parameters)}\n"
-    )
-    lines = ["# Image list", "#   two lines an image"]
-    for number, q, t, name in rows:
-        lines.append(" ".join([str(number), *(f"{v:.17g}" for v in (*q, *t)), "3", name]))
-        lines.append("1.5 2.5 7 3.5 4.5 -1" if number % 2 else "")
-    (folder / "images.txt").write_text("\n".join(lines) + "\n")
+    return colmap_files(folder, [(3, model, *camera.size, *parameters)], rows)
+
+
+def colmap_files(folder: Path, cameras: list[tuple], images: list[tuple]) -> Path:
+    """COLMAP's files of cameras (number, model, width, height, parameters), images (number, wxyz, t, name, camera)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers = {name: number for number, (name, _) in enumerate(MODELS)}
+    data = struct.pack("<Q", len(cameras))
+    for number, model, width, height, *parameters in cameras:
+        data += struct.pack(f"<IiQQ{len(parameters)}d", number, numbers[model], width, height, *parameters)
+    (folder / "cameras.bin").write_bytes(data)
+    data = struct.pack("<Q", len(images))
+    for number, q, t, name, *camera in images:
+        data += struct.pack("<I4d3dI", number, *q, *t, *(camera or [3])) + name.encode() + b"\0"
+        data += struct.pack("<Q", number) + struct.pack("<2dQ", 1.5, 2.5, 7) * number
+    (folder / "images.bin").write_bytes(data)
     return folder
 
 

@@ -29,7 +29,7 @@ def two_hands() -> None:
         if not training.ranks.writes:
             return
         session.out.mkdir(exist_ok=True)
-        for name in (*(f"{hand}.pt" for hand in HANDS), "logs", "preview"):
+        for name in (*(f"{hand}.pt" for hand in HANDS), "logs"):
             copy = shutil.copytree if (session.partial / name).is_dir() else shutil.copyfile
             copy(session.partial / name, session.out / name)
         shutil.rmtree(session.partial)

@@ -1,8 +1,12 @@
-"""What a block of Python takes at once."""
+"""What a block of Python takes of memory at once, and a disk of a few kilobytes."""
 
+import subprocess
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
 
 
 @contextmanager
@@ -14,3 +18,16 @@ def at_most(size: float) -> Iterator[None]:
         assert tracemalloc.get_traced_memory()[1] < size
     finally:
         tracemalloc.stop()
+
+
+@contextmanager
+def mounted(place: Path, size: str):
+    """An empty disk of so many bytes in a new folder."""
+    place.mkdir()
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(place)], capture_output=True)
+    if done.returncode:
+        pytest.skip(f"cannot mount: {done.stderr.decode().strip()}")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", str(place)], check=True)

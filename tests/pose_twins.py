@@ -1,4 +1,4 @@
-"""Results of SAM 3D Body and landmarks of MediaPipe, made from poses of our own skeleton."""
+"""Results of SAM 3D Body and landmarks of MediaPipe, made from poses of our own skeleton, and how far poses are."""
 
 import json
 import re
@@ -21,7 +21,7 @@ from avatar.motion.mhr_rig import (
     twist_about,
 )
 from avatar.motion.sam3d_body import FLIP
-from avatar.rotation import matrix_from_axis_angle
+from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle, quaternion_inverse, quaternion_product
 from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 
@@ -164,3 +164,9 @@ def from_text(source, path):
             frame["handedness"] = [[{"category_name": label}]]
     path.write_text(json.dumps({"frames": [frame]}))
     return path
+
+
+def angles_between(a, b):
+    """Radians between rotations given as axis-angle, 0 to pi; exact for small and for large ones."""
+    relative = quaternion_product(quaternion_inverse(quaternion_from_axis_angle(a)), quaternion_from_axis_angle(b))
+    return 2 * np.arctan2(np.linalg.norm(relative[..., :3], axis=-1), np.abs(relative[..., 3]))

@@ -1,4 +1,4 @@
-"""Imports run one way between packages, and what a package loads is what it is allowed to load."""
+"""Imports run one way between packages; what a package loads is what it may; the bound of the hard cases."""
 
 import ast
 import json
@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -134,3 +135,36 @@ def test_a_package_loads_neither_what_lies_above_it_nor_what_its_install_lacks(p
     if package == "avatar":
         forbidden |= {"moderngl", "av"}
     assert not loaded & forbidden
+
+
+FILM = """
+import sys
+from player.film.command import render_main
+assert render_main(sys.argv[1:]) == 0
+print(" ".join(sys.modules))
+"""
+
+
+def test_headless_render_loads_neither_live_nor_window(tmp_path):
+    scene = tmp_path / "scene.toml"
+    scene.write_text('[[avatar]]\npath = "mannequin"\nmotion = "walking"\n[[avatar]]\npath = "mannequin:female"\n')
+    options = ["--scene", str(scene), "--frame", "3", "--size", "32x40", "--explain", "-o", str(tmp_path / "a.png")]
+    out = subprocess.run([sys.executable, "-c", FILM, *options], capture_output=True, text=True, check=True).stdout
+    loaded = set(out.splitlines()[-1].split())
+    assert "player.effects.avatar" in loaded
+    # the legs of feet that are held
+    loaded -= {"player.pose", "player.pose.ik"}
+    assert not [name for name in loaded if name.startswith(("player.live", "player.window", "player.pose"))]
+    heavy = {"torch", "av", "glfw", "scipy", "trimesh", "onnxruntime", "matplotlib", "websockets", "pythonosc"}
+    assert not loaded & heavy
+
+
+@pytest.mark.parametrize("measured", [np.zeros(0), np.zeros((0, 3)), [], np.nan, [0.0, np.nan], 2.0, -2.0])
+def test_nothing_a_nan_and_what_is_too_large_are_within_no_bound(within, measured):
+    with pytest.raises(AssertionError, match=r"nothing was measured|exceeds the bound"):
+        within(measured, 1.0)
+
+
+@pytest.mark.parametrize("measured", [0.0, -1.0, [[0.5, -1.0]], 1])
+def test_the_largest_absolute_value_is_within_its_bound(within, measured):
+    within(measured, 1.0)

@@ -56,16 +56,6 @@ def tiny_avatar(seed=0, **changes) -> Avatar:
     return Avatar(**(fields | changes))
 
 
-def tiny_high_avatar(**changes) -> Avatar:
-    """As tiny_avatar, with eight features, the large network and eight matrices."""
-    rng = np.random.default_rng(5)
-    shapes = {"w1": (16, 12), "b1": (16,), "w2": (16, 16), "b2": (16,), "w3": (3, 16), "b3": (3,)}
-    network = ViewNetwork(**{name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()})
-    levels = (tiny_level(1, features=8), tiny_level(2, vertices=5, faces=3, size=2, features=8))
-    linear = rng.normal(size=(8, 3, 3)).astype(np.float32)
-    return tiny_avatar(**({"levels": levels, "network": network, "linear": linear} | changes))
-
-
 def same(a, b) -> bool:
     """Whether two avatars, or parts of them, are equal to the last bit."""
     if isinstance(a, np.ndarray):

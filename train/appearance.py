@@ -1,43 +1,33 @@
 """Appearance composition: the parts take on the body video's light (TotalSelfScan, 3.3, Eq. 8)."""
 
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from train.fused import FusedField
 from train.objective import RayTensors, directions_at
+from train.preset import Preset
 from train.render import crossing
 from train.union import in_overlap
 
-
-@dataclass(frozen=True, kw_only=True)
-class CodeSteps:
-    """How a code is optimised: by Adam; in `paper` with the training's rates (supplement, section 1)."""
-
-    count: int
-    rate: float = 1e-2
-    # share of the first rate that the last one is, reached exponentially
-    last_rate: float = 1.0
-    batch: int = 1024  # points
-    seed: int = 0
+BATCH = 1024  # points
+MOST_RAYS = 6000
 
 
 @torch.no_grad()
 def overlap_rays(
-    fused: FusedField, index: int, rays: RayTensors, *, most: int = 6000
+    fused: FusedField, index: int, rays: RayTensors
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
     """R of Eq. 8: where rays of the body's video, all frames, meet the surface in the body's overlap with a part.
 
     Points and unit directions are canonical, each ray's direction turned by the skin where it meets the surface.
-    At most `most` rays are tried, spread evenly over the frames.
+    At most MOST_RAYS are tried, spread evenly over the frames.
     """
     on = (rays.mask > 0.5).nonzero()[:, 0]
     middle = rays.ends[on, rays.ends.shape[1] // 2]
     # a ray's ends lie within centimetres of each other, the weight falls over at least 5: this misses few
     on = on[in_overlap(fused.shares(middle), index)]
-    on = on[:: -(-len(on) // most) or 1]
+    on = on[:: -(-len(on) // MOST_RAYS) or 1]
     ends = rays.ends[on]
     distance = fused.distance(ends.reshape(-1, 3)).view(ends.shape[:2])
     enters = (distance[:, :-1] > 0) & (distance[:, 1:] <= 0)
@@ -49,8 +39,9 @@ def overlap_rays(
 
 
 def match_appearance(
-    field: FusedField, index: int, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"], steps: CodeSteps
-) -> tuple[float, float]:
+    field: FusedField, index: int, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"], preset: Preset,
+    seed: int,
+) -> tuple[float, float]:  # fmt: skip
     """Eq. 8: the code of part `index` for which it shows the overlap as the body does.
 
         min over l of |C_body(x, d, l_body) - C_part(x, d, l)|
@@ -65,16 +56,17 @@ def match_appearance(
     spread = part.appearance.weight.detach().std(0, unbiased=False).clamp_min(1e-3)
     target = field.part_color(0, points, directions)
     code = start.clone().requires_grad_()
-    optimiser = torch.optim.Adam([code], lr=steps.rate)
-    generator = torch.Generator().manual_seed(steps.seed)
+    optimiser = torch.optim.Adam([code], lr=preset.appearance_rate)
+    generator = torch.Generator().manual_seed(seed)
 
     def difference(code: Tensor) -> float:
         return float((field.part_color(index, points, directions, code.detach()) - target).abs().mean())
 
     before = difference(start)
-    for step in range(steps.count):
-        optimiser.param_groups[0]["lr"] = steps.rate * steps.last_rate ** (step / steps.count)
-        chosen = torch.randint(len(points), (min(steps.batch, len(points)),), generator=generator).to(points.device)
+    count = preset.appearance_steps
+    for step in range(count):
+        optimiser.param_groups[0]["lr"] = preset.appearance_rate * preset.appearance_last_rate ** (step / count)
+        chosen = torch.randint(len(points), (min(BATCH, len(points)),), generator=generator).to(points.device)
         shown = field.part_color(index, points[chosen], directions[chosen], code)
         loss = (shown - target[chosen]).abs().mean() + 1e-3 * ((code - start) / spread).square().mean()
         optimiser.zero_grad()

@@ -37,9 +37,6 @@ class TrainOptions:
         int | None, AtLeast(1), AtMost(MOST_STEPS), "optimiser steps per part, instead of the preset's"
     ] = None
     save_every: Annotated[float, AtLeast(0), AtMost(1e9), Option(metavar="SECONDS"), "between checkpoints"] = 120.0
-    preview: Annotated[int, AtLeast(0), AtMost(MOST_STEPS), Option(metavar="STEPS"), "between previews, 0 for none"] = (
-        250
-    )
     refine_poses: Annotated[
         str, OneOf(("auto", "on", "off")),
         "move noisy poses onto the masks first, then learn what is left with the field; "
@@ -71,11 +68,8 @@ presets
   paper   the supplement's networks and 100 000 steps a part: a CUDA device and hours. For comparison.
 
 while it learns
-  RUN.partial/preview/PART.png   observed | rendered | normals, for one frame of each part
   RUN.partial/logs/PART.csv      a row every 10 steps: seconds, learning rate, each loss term, PSNR, |grad|, T_nr
-  RUN.partial/logs/events        the same for `tensorboard --logdir`, with the previews over time, where the
-                                 package is installed (`pip install tensorboard`)
-All of it moves to RUN when the run is complete.
+They move to RUN when the run is complete.
 
 stopping and going on
   Ctrl-C or SIGTERM saves a checkpoint and stops; the same command with --resume goes on, and on one thread (the

@@ -30,11 +30,11 @@ from capture.template.views import ViewStatistics, ViewSums, fused_statistics, p
 from geometry.harmonic import fill_reached
 from geometry.icp import Anchors, refine_by_surfaces
 from geometry.mesh import vertex_normals
-from train.appearance import CodeSteps, match_appearance, overlap_rays
+from train.appearance import match_appearance, overlap_rays
 from train.eye_grid import OpenEyes, filmed_eyes
 from train.field import PartField
 from train.fused import FusedField, eq9_shares, part_weight
-from train.light import SeenTensors, VideoLight, light_facts, seen_lights_from_json, seen_tensors
+from train.light import SeenLight, VideoLight, light_facts, seen_lights_from_json
 from train.objective import RayTensors
 from train.preset import Preset
 from train.skin import CanonicalSkin
@@ -97,8 +97,6 @@ class Composition:
     surface: Surface
     # that the surface shows; None: the head's field as it was learned
     eyes: OpenEyes | None
-    # each part's own statistics
-    tables: list[ViewStatistics]
     # what run.json says of it
     facts: dict[str, Any]
 
@@ -115,7 +113,7 @@ def compose(
     head, head_from_field = parts.head, np.eye(4)
     with timed(seconds, "registration"):
         lights = light_facts(capture, parts.lights) if parts.lights else {}
-        seen = seen_tensors(seen_lights_from_json("light_seen", lights["light_seen"])) if lights else None
+        seen = seen_lights_from_json("light_seen", lights["light_seen"]) if lights else None
         if rays is not None:
             head = place_head(capture, parts.fields, head, say, seen, outlines=preset.hair.consistency)
             head_from_field = head.correction
@@ -155,13 +153,9 @@ def compose(
     say(f"view directions (Eq. 14): {float((surface.view_count > 0).mean()):.1%} of the vertices seen")
     if rays is not None:
         with timed(seconds, "appearance"):
-            steps = CodeSteps(
-                count=preset.appearance_steps, rate=preset.appearance_rate, last_rate=preset.appearance_last_rate,
-                seed=parts.seed,
-            )  # fmt: skip
-            facts["appearance"] = match_appearances(fused, rays, surface.vertices, tables, steps, say)
+            facts["appearance"] = match_appearances(fused, rays, surface.vertices, tables, preset, parts.seed, say)
     fused.cpu()
-    return Composition(surface, fused.eyes, tables, facts)
+    return Composition(surface, fused.eyes, facts)
 
 
 def placement_facts(head: HeadPlacement, canonical_from_head_field: Float[Array, "4 4"]) -> dict[str, Any]:
@@ -223,7 +217,7 @@ def placed_by_outline(
 
 def place_head(
     capture: Capture, fields: Sequence[PartField], start: HeadPlacement, say: Say,
-    seen: tuple[SeenTensors, ...] | None = None, *, outlines: bool = False,
+    seen: tuple[SeenLight, ...] | None = None, *, outlines: bool = False,
 ) -> HeadPlacement:  # fmt: skip
     """The head's place by the surfaces of body and head, the first two fields (Eq. 5), then by the body's pixels.
 
@@ -252,10 +246,7 @@ class DisplayedSurface(NamedTuple):
 
 def displayed_surface(fused: FusedField, subject: CaptureSubject, cells: Sequence[float]) -> DisplayedSurface:
     """The fused zero level with its skin weights; `cells` of body, head and hands, metres."""
-    body, head, hand = cells
-    (vertices, faces), layer = extract_surface(
-        fused, part_boxes(subject), subject, body_cell=body, head_cell=head, hand_cell=hand
-    )
+    (vertices, faces), layer = extract_surface(fused, part_boxes(subject), subject, cells)
     points = torch.as_tensor(vertices, dtype=torch.float32, device=fused.device)
     normals = fused.normal(points).cpu().numpy().astype(np.float64)
     if not layer.any():
@@ -305,7 +296,7 @@ def with_views(
 
 def match_appearances(
     fused: FusedField, rays: RayTensors, vertices: Float[Array, "vertices 3"], tables: Sequence[ViewStatistics],
-    steps: CodeSteps, say: Say,
+    preset: Preset, seed: int, say: Say,
 ) -> dict[str, dict[str, float]]:  # fmt: skip
     """Eq. 8 for head and hands, over the body video's rays that meet the surface in their overlap with the body.
 
@@ -320,7 +311,7 @@ def match_appearances(
         if len(points) < 50:
             say(f"{PARTS[index]}: only {len(points)} rays in the overlap that its video saw; code stays the mean")
             continue
-        before, after = match_appearance(fused, index, points, directions, steps)
+        before, after = match_appearance(fused, index, points, directions, preset, seed)
         matched[PARTS[index]] = {"before": round(before, 4), "after": round(after, 4), "rays": len(points)}
         say(f"{PARTS[index]}: overlap colors (Eq. 8) {before:.3f} -> {after:.3f} of the body's, {len(points)} rays")
     return matched
@@ -374,13 +365,9 @@ def register_head(subject: CaptureSubject, fields: Sequence[PartField], anchors:
 
 
 def place_on_video(
-    capture: Capture,
-    fields: Sequence[PartField],
-    correction: Registration,
-    anchors: Anchors,
-    say: Say,
-    seen: tuple[SeenTensors, ...] | None = None,
-) -> tuple[Registration, dict[str, Any]]:
+    capture: Capture, fields: Sequence[PartField], correction: Registration, anchors: Anchors, say: Say,
+    seen: tuple[SeenLight, ...] | None,
+) -> tuple[Registration, dict[str, Any]]:  # fmt: skip
     """The head's place of Eq. 5 refined on the body's video, and what run.json says of it.
 
     Where the pixels give no answer, Eq. 5's stays, and that is said.

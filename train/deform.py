@@ -43,21 +43,19 @@ def canonical_from_posed(
     start: Int[Array, "n"],
     inverse: Float[Array, "samples 3 4"],
     nearest: Callable[[Float[Array, "k 3"]], Int[Array, "k"]],
-    *,
-    looks: int = 3,
     settled: float = 1e-4,
 ) -> tuple[Int[Array, "n"], Float[Array, "n 3"], Bool[Array, "n"]]:
     """Which template sample each posed point follows, where that puts it, and whether the answer settled.
 
     Starts at the closest posed sample (`start`), maps the point with its weights, looks the weights up again at
-    the canonical point found (`nearest`, -1 where it does not know), at most `looks` times, until the point
+    the canonical point found (`nearest`, -1 where it does not know), at most three times, until the point
     moves less than `settled` metres. One that still moves has two answers (fingers that touch, legs that cross)
     and is flagged; training leaves it out.
     """
     row, here = start.copy(), apply_rows(inverse, start, points)
     ok = np.zeros(len(points), bool)
     open_ = np.arange(len(points))
-    for _ in range(looks):
+    for _ in range(3):
         again = nearest(here[open_])
         again = np.where(again < 0, row[open_], again)
         moved = apply_rows(inverse, again, points[open_])

@@ -12,7 +12,7 @@ from capture.template.parts import Part
 from geometry.isosurface import Detail
 from train.eye_grid import OpenEyes
 from train.field import FieldSample, PartField, unit_normals
-from train.light import SeenTensors
+from train.light import SeenLight
 
 
 class CanonicalField(NamedTuple):
@@ -62,7 +62,7 @@ class FusedField(nn.Module):
         # None: the field's own distance everywhere
         self.eyes: OpenEyes | None = None
         # each part's video's, where the parts' colors are albedo; None: they are what was shown
-        self.seen: tuple[SeenTensors, ...] | None = None
+        self.seen: tuple[SeenLight, ...] | None = None
         self.register_buffer("head_from_canonical", head_from_canonical.float())
 
     def functions(self) -> CanonicalField:
@@ -122,10 +122,10 @@ class FusedField(nn.Module):
             out.append(total)
         return torch.cat(out)
 
-    def distance(self, points: Float[Tensor, "n 3"], *, grad: bool = False) -> Float[Tensor, "n"]:
+    @torch.no_grad()
+    def distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
         """Signed distance, metres."""
-        with torch.set_grad_enabled(grad):
-            return self.blend(self.shares, self.part_distance, points, width=(), most=65536)
+        return self.blend(self.shares, self.part_distance, points, width=(), most=65536)
 
     def normal(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Unit gradient of the distance: the parts' gradients blended with Eq. 9's weights."""

@@ -5,7 +5,7 @@ finished person has no frame: it is shown under the *seen light*, the mean of S 
 normal, which is what the paper's appearance at the global direction means.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -78,18 +78,6 @@ class LightTensors(NamedTuple):
         return shown(albedo, shading, highlight, self.light.gamma)
 
 
-@dataclass(frozen=True)
-class SeenLight:
-    """Mean S and H of a part's video at canonical normals, spherical harmonics to degree 4."""
-
-    shading: Float[Array, "25"]
-    highlight: Float[Array, "25"]
-    gamma: float
-
-    def json(self) -> dict[str, Any]:
-        return {"shading": self.shading.tolist(), "highlight": self.highlight.tolist(), "gamma": self.gamma}
-
-
 def video_light(capture: Capture, part: str, light: CaptureLight, canonical_from_head: Array) -> VideoLight:
     """A video's light as its part's rays meet it."""
     return VideoLight(light, light_from_video(capture, part, light.frame, canonical_from_head))
@@ -103,8 +91,9 @@ def world_light(capture: Capture, light: CaptureLight) -> CaptureLight:
     return light.turned(camera_from_world.T, "world")
 
 
-def seen_light(capture: Capture, part: str, video: VideoLight) -> SeenLight:
-    """Mean S and H that a part's video saw at each canonical normal, frames weighted by how they face it.
+def seen_light(capture: Capture, part: str, video: VideoLight) -> dict[str, Any]:
+    """Mean S and H that a part's video saw at each canonical normal, frames weighted by how they face it, as run.json
+    holds them.
 
     The part turns as its first bone does. Normals that no frame faces take the frames that face them least badly.
     """
@@ -126,10 +115,10 @@ def seen_light(capture: Capture, part: str, video: VideoLight) -> SeenLight:
         sums += weight * np.stack([np.ones(len(n)), video.light.shading(n), highlight])
     basis = harmonics(normals)
     fitted = np.linalg.lstsq(basis, (sums[1:] / sums[0]).T, rcond=None)[0]
-    return SeenLight(fitted[:, 0], fitted[:, 1], video.light.gamma)
+    return {"shading": fitted[:, 0].tolist(), "highlight": fitted[:, 1].tolist(), "gamma": video.light.gamma}
 
 
-def seen_lights_from_json(place: str, content: Any) -> list[SeenLight]:
+def seen_lights_from_json(place: str, content: Any) -> tuple["SeenLight", ...]:
     """Seen lights by part as run.json holds them.
 
     Raises:
@@ -148,8 +137,8 @@ def seen_lights_from_json(place: str, content: Any) -> list[SeenLight]:
         fits = shading.shape == highlight.shape == (HARMONICS,)
         if not fits or not np.isfinite(np.r_[shading, highlight, gamma]).all() or not 1 <= gamma <= 4:
             raise AssetError(f"{place}: {part} should hold {HARMONICS} finite numbers each and a gamma from 1 to 4")
-        found.append(SeenLight(shading, highlight, gamma))
-    return found
+        found.append(SeenLight(torch.tensor(shading).float(), torch.tensor(highlight).float(), gamma))
+    return tuple(found)
 
 
 def light_facts(capture: Capture, lights: Mapping[str, VideoLight]) -> dict[str, Any]:
@@ -159,12 +148,12 @@ def light_facts(capture: Capture, lights: Mapping[str, VideoLight]) -> dict[str,
         "light_world": world_light(capture, lights["body"].light).json(),
         # from the person towards the body's camera
         "light_camera": (-capture.videos["body"].cameras[0].camera_from_world[2, :3]).tolist(),
-        "light_seen": {part: seen_light(capture, part, one).json() for part, one in lights.items()},
+        "light_seen": {part: seen_light(capture, part, one) for part, one in lights.items()},
     }
 
 
-class SeenTensors(NamedTuple):
-    """A seen light on the device of a field."""
+class SeenLight(NamedTuple):
+    """Mean S and H of a part's video at canonical normals, spherical harmonics to degree 4."""
 
     shading: Float[Tensor, "25"]
     highlight: Float[Tensor, "25"]
@@ -180,11 +169,6 @@ class SeenTensors(NamedTuple):
         basis = harmonics(normals)
         shading, highlight = (basis @ numbers.to(basis.device) for numbers in (self.shading, self.highlight))
         return torch.stack([shading.clamp_min(0.01), highlight.clamp_min(0)], 1)
-
-
-def seen_tensors(lights: Sequence[SeenLight]) -> tuple[SeenTensors, ...]:
-    put = lambda array: torch.as_tensor(array, dtype=torch.float32)
-    return tuple(SeenTensors(put(one.shading), put(one.highlight), one.gamma) for one in lights)
 
 
 def harmonics(n: Any) -> Any:

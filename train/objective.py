@@ -95,8 +95,6 @@ class StepReport:
     # dB, of the rays on the person
     psnr: float
     slope: float  # mean |grad F_s|
-    # share of shaded points whose correction is beyond 5 cm
-    saturated: float
 
 
 class Batch(NamedTuple):
@@ -177,14 +175,10 @@ class Rendered(NamedTuple):
     color: Float[Tensor, "b 3"]  # on black
     # opacity = 1 - exp of it
     log_transmittance: Float[Tensor, "b"]
-    # each shaded section's; rows sum to 1
-    share: Float[Tensor, "b k"]
     ends: Float[Tensor, "b ends 3"]  # canonical, after T_nr
     distance: Float[Tensor, "b ends"]  # F_s there
-    # points that were given a color, b k of them
-    shaded: Float[Tensor, "n 3"]
-    shaded_distance: Float[Tensor, "n"]
-    gradient: Float[Tensor, "n 3"]  # grad F_s there
+    # grad F_s at the points that were given a color, b k of them
+    gradient: Float[Tensor, "n 3"]
     # T_nr where it was evaluated
     displacement: Float[Tensor, "m 3"]
 
@@ -230,8 +224,7 @@ def render_rays(
     color = section_colors(field, rays, chosen, section, points, sample, gradient)
     share = top / (top.sum(1, keepdim=True) + 1e-8)
     shown = (share[..., None] * color).sum(1) * opacity[:, None]
-    return Rendered(shown, rendered.log_transmittance, share, ends, distance, points, sample.distance, gradient,
-                    moved.reshape(-1, 3))  # fmt: skip
+    return Rendered(shown, rendered.log_transmittance, ends, distance, gradient, moved.reshape(-1, 3))
 
 
 def _render_density(
@@ -249,9 +242,7 @@ def _render_density(
     sections = torch.arange(count, device=points.device).expand(size, -1)
     color = section_colors(field, rays, chosen, sections, flat, sample, gradient)
     shown = (rendered.weights[..., None] * color).sum(1)
-    share = rendered.weights / (rendered.weights.sum(1, keepdim=True) + 1e-8)
-    return Rendered(shown, rendered.log_transmittance, share, points, distance, flat, sample.distance, gradient,
-                    moved.reshape(-1, 3))  # fmt: skip
+    return Rendered(shown, rendered.log_transmittance, points, distance, gradient, moved.reshape(-1, 3))
 
 
 def losses(
@@ -278,8 +269,6 @@ def losses(
         """The step's numbers, computed where they are asked for."""
         on = mask > 0.5
         error = (drawn.color - observed)[on].square().mean() if on.any() else torch.tensor(1.0)
-        template = field.template.sample(drawn.shaded.detach())[0]
-        far = (drawn.shaded_distance - template).abs() > 0.05
         return StepReport(
             loss=loss.item(),
             color=L_rgb.item(),
@@ -289,7 +278,6 @@ def losses(
             extra=0.0 if L_extra is None else L_extra.item(),
             psnr=decibels(max(error.item(), 1e-10)),
             slope=drawn.gradient.norm(dim=-1).mean().item(),
-            saturated=far.float().mean().item(),
         )
 
     return loss, report

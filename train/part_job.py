@@ -29,14 +29,10 @@ from train.objective import RayTensors, StepReport, ray_tensors
 from train.pose_correction import PoseCorrection
 from train.prefit import fit_template
 from train.preset import PartPreset, Preset
-from train.preview import Preview, part_preview
 from train.rays import FilmedPart, RaySettings, part_rays
 from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, Position, Watch, peak_memory, train_field
 from train.union import write_rays
-
-# share of the preparation that the rays take where a template fit follows
-RAYS_SHARE = 0.3
 
 
 class Untrained(NamedTuple):
@@ -46,7 +42,6 @@ class Untrained(NamedTuple):
     rays: RayTensors
     flagged: float  # share of the rays left out as ambiguous
     lost: float  # share of the person's pixels whose ray meets no template
-    preview: Preview | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +52,7 @@ class PartJob:
     index: int  # into the preset's parts
     preset: Preset
     canonical_from_head: Array
-    # gets the part, its checkpoints, logs and previews; holds the template and what was refined
+    # gets the part, its checkpoints and logs; holds the template and what was refined
     folder: str
     device: str
     threads: int
@@ -67,12 +62,10 @@ class PartJob:
     seed: int = 0
     resume: bool = False
     save_every: float = 120.0  # seconds between checkpoints
-    # steps between previews; 0: none
-    preview_every: int = 0
     # videos that it learns from; None: the part's own
     videos: tuple[str, ...] | None = None
     # what makes the part; None: `part_untrained`
-    make: Callable[["PartJob", Capture, Callable[[float], None]], Untrained] | None = None
+    make: Callable[["PartJob", Capture], Untrained] | None = None
 
     @property
     def name(self) -> str:
@@ -125,7 +118,7 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
         # the last sitting's, as is what it holds of preparing
         "cpu_seconds": round(time.process_time() - cpu, 1),
         "cpu_seconds_preparing": round(prepared_cpu, 1),
-        "peak_memory_mb": megabytes(memory),
+        "peak_memory_mb": round(memory / 1e6),
     }
     if field.poses is not None:
         degrees = facts["poses_learned_deg"] = round(field.poses.degrees(), 3)
@@ -138,7 +131,8 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
         with whole_file(done, "w") as file:
             json.dump(facts, file)
     psnr = f"PSNR {last['psnr']:.1f} dB, " if last else ""
-    reporter.say(f"{name}: {steps} steps, {psnr}{at.skipped} skipped, {facts['seconds']:.0f} s, {memory_text(memory)}")
+    took = f"{facts['seconds']:.0f} s, peak memory {memory / 1e9:.2f} GB"
+    reporter.say(f"{name}: {steps} steps, {psnr}{at.skipped} skipped, {took}")
     return facts
 
 
@@ -146,13 +140,11 @@ def _untrained(job: PartJob, capture: Capture, reporter: Reporter) -> Untrained:
     """The part with its rays, its poses where they are learned too, and F_s fitted to the template where it must be."""
     name, folder, preset = job.name, Path(job.folder), job.preset
     prefit = preset.prefit and not (job.resume and (folder / f"{name}.ckpt").exists())
-    rays_prepared = lambda share: reporter.prepare(share * (RAYS_SHARE if prefit else 1))
-    part = (job.make or part_untrained)(job, capture, rays_prepared)
+    part = (job.make or part_untrained)(job, capture)
     if poses_refined(folder, name):
         part.field.poses = PoseCorrection(capture.videos[name], capture.subject).to(part.rays.ends.device)
     if prefit:
-        fitted = lambda share: reporter.prepare(RAYS_SHARE + (1 - RAYS_SHARE) * share)
-        off = fit_template(part.field, preset.prefit, seed=job.seed, done=fitted)
+        off = fit_template(part.field, preset.prefit, seed=job.seed)
         reporter.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
     if name == "body" and job.ranks.writes:
         # for stage 2 and Eq. 8
@@ -174,7 +166,7 @@ def _trained(job: PartJob, part: Untrained, reporter: Reporter) -> tuple[Positio
         train_field(
             part.field, part.rays, FieldTraining(part=job.settings, preset=job.preset, seed=job.seed, ranks=job.ranks),
             checkpoints=Checkpoints(path=folder / f"{job.name}.ckpt", resume=job.resume, every=job.save_every),
-            watch=Watch(report=report, log=log, preview=part.preview), at=at,
+            watch=Watch(report=report, log=log), at=at,
         )  # fmt: skip
     finally:
         if log is not None:
@@ -194,7 +186,7 @@ def _keep_poses(job: PartJob, field: PartField, rays: RayTensors, video: PartVid
     write_learned(Path(job.folder), job.name, poses.corrected(video))
 
 
-def part_untrained(job: PartJob, capture: Capture, prepared: Callable[[float], None]) -> Untrained:
+def part_untrained(job: PartJob, capture: Capture) -> Untrained:
     """A part's untrained field in its box, and the rays of its video."""
     name, settings, device = job.name, job.settings, torch.device(job.device)
     subject, part, video = capture.subject, part_boxes(capture.subject)[job.index], capture.videos[name]
@@ -213,8 +205,8 @@ def part_untrained(job: PartJob, capture: Capture, prepared: Callable[[float], N
     asked = max(job.preset.rays * settings.iterations // len(video.images), 1000)
     if name != "body":
         chosen = replace(chosen, per_frame=min(chosen.per_frame, asked))
-    rays = part_rays(filmed, chosen, generator, prepared)
-    return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost, job_preview(job, filmed))
+    rays = part_rays(filmed, chosen, generator)
+    return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost)
 
 
 def template_field(
@@ -237,25 +229,8 @@ def ray_settings(part: PartPreset, preset: Preset) -> RaySettings:
     )
 
 
-def job_preview(job: PartJob, filmed: FilmedPart) -> Preview | None:
-    """What draws the part while it learns; None where none was asked for."""
-    if not (job.preview_every and job.ranks.writes):
-        return None
-    path = Path(job.folder) / "preview" / f"{job.name}.png"
-    settings = ray_settings(job.settings, job.preset)
-    return part_preview(path, filmed, settings, torch.device(job.device), job.preview_every)
-
-
 def step_note(step: StepReport) -> str:
     return (
         f"loss {step.loss:.4f}  PSNR {step.psnr:.1f} dB  |grad| {step.slope:.2f}  "
         f"T_nr {step.displacement * 1000:.1f} mm"
     )
-
-
-def megabytes(memory: int | None) -> int | None:
-    return None if memory is None else round(memory / 1e6)
-
-
-def memory_text(memory: int | None) -> str:
-    return "peak memory unknown here" if memory is None else f"peak memory {memory / 1e9:.2f} GB"

@@ -271,11 +271,8 @@ class _FrameRays(NamedTuple):
     lost: int  # those of them that meet no template
 
 
-def part_rays(
-    filmed: FilmedPart, settings: RaySettings, rng: np.random.Generator,
-    prepared: Callable[[float], None] = lambda share: None,
-) -> TrainingRays:  # fmt: skip
-    """The rays of a video that train its part; `prepared` is called with the share of the frames done.
+def part_rays(filmed: FilmedPart, settings: RaySettings, rng: np.random.Generator) -> TrainingRays:
+    """The rays of a video that train its part.
 
     A pixel supervises a part when its ray first meets the template inside the part's box, or, for a ray that
     passes by, when its closest approach lies in the box (FRAMES.md). Sections never leave the box.
@@ -287,7 +284,6 @@ def part_rays(
     grid = sample_grid(cloud.points, part.extent.low - 0.02, part.extent.high + 0.02, cloud.spacing)
     frames, bones = [], []
     for frame in range(count):
-        prepared(frame / count)
         posed = filmed.posed(frame)
         frames.append(_frame_rays(filmed, frame, posed, grid, settings, rng))
         if posed.bones is not None:

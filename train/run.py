@@ -16,7 +16,6 @@ from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject, read_subject
 from capture.template.parts import part_boxes
-from capture.template.views import ViewStatistics
 from command.errors import AssetError
 from command.settings import SettingsSource, record_of
 from files.input_file import read_json
@@ -25,7 +24,7 @@ from files.npz import read_npz
 from train.eye_grid import OpenEyes
 from train.field import PartField
 from train.fused import CanonicalField, FusedField
-from train.light import seen_lights_from_json, seen_tensors
+from train.light import seen_lights_from_json
 from train.preset import PartPreset, Preset
 from train.surface import Surface
 from train.template_grid import TemplateGrid
@@ -140,21 +139,10 @@ def read_eyes(path: Path) -> OpenEyes | None:
     return OpenEyes(values, share, low, float(cell))
 
 
-def write_codes(path: Path, fields: dict[str, PartField]) -> None:
-    """codes.npz: of each part the mean of its trained appearance codes and the one matched to the body (Eq. 8)."""
-    codes = {}
-    for name, field in fields.items():
-        codes[f"{name}_mean"] = field.appearance.weight.detach().mean(0).numpy()
-        codes[f"{name}_matched"] = field.reference.numpy()
-    np.savez(path, **codes)
-
-
-def write_surface(path: Path, surface: Surface, per_part: list[ViewStatistics]) -> None:
-    """surface.npz: the mesh, the fused view statistics, and each part's own beside them."""
+def write_surface(path: Path, surface: Surface) -> None:
+    """surface.npz: the mesh and the fused view statistics."""
     fields = vars(surface) | {f"skin_{name}": values for name, values in surface.skin._asdict().items()}
     arrays = {name: fields[name].astype(dtype) for name, (dtype, _) in SURFACE.items()}
-    for part, table in zip(PARTS, per_part):
-        arrays |= {f"{part}_view_{name}": values.astype("f4") for name, values in table._asdict().items()}
     with open(path, "wb") as file:
         np.savez(file, **arrays)
 
@@ -267,6 +255,6 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     lights = lights_of(path, facts)
     world = None
     if lights:
-        field.seen = seen_tensors(seen_lights_from_json(f"{path / 'run.json'}: light_seen", facts.get("light_seen")))
+        field.seen = seen_lights_from_json(f"{path / 'run.json'}: light_seen", facts.get("light_seen"))
         world = _light(f"{path / 'run.json'}: light_world", facts.get("light_world"))
     return Run(path, field, read_surface(path / "surface.npz"), subject, preset, facts, lights, world)

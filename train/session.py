@@ -23,7 +23,7 @@ class Session:
 
     # the run folder, absent until it is complete
     out: Path
-    # checkpoints, logs and previews until then
+    # checkpoints and logs until then
     partial: Path
     resumed: bool
 

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from capture.folder import CaptureSubject
 from capture.template.surface import blend_skin, visible_faces
-from geometry.closest import Match, best_candidate
+from geometry.closest import best_candidate
 from geometry.harmonic import anchored, fill_harmonic
 from geometry.mesh import vertex_normals
 from geometry.sample import lattice_samples
@@ -33,29 +33,23 @@ class CanonicalSkin:
         samples = lattice_samples(self.vertices, self.faces, np.where(on_hand, 0.0015, 0.006))
         self.face, self.tree = samples.face, KDTree(samples.on(self.vertices, self.faces))
 
-    def closest(
-        self, points: Float[Array, "n 3"], normals: Float[Array, "n 3"] | None = None, candidates: int = 6
-    ) -> Match:
-        """Of the triangles of the nearest samples the closest whose normals agree (dot > .5), else the closest."""
-        rows = np.asarray(self.tree.query(points, k=candidates, workers=-1)[1])
-
-        def agrees(face: Int[Array, "n"], weights: Float[Array, "n 3"]) -> Bool[Array, "n"]:
-            if normals is None:
-                return np.ones(len(face), bool)
-            normal = np.einsum("nk,nkc->nc", weights, self.normals[self.faces[face]])
-            return (normal * normals).sum(1) > 0.5 * np.linalg.norm(normal, axis=1)
-
-        return best_candidate(points, self.face[rows], self.vertices[self.faces], agrees)
-
     def lookup(
-        self, points: Float[Array, "n 3"], normals: Float[Array, "n 3"] | None = None
+        self, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]
     ) -> tuple[SkinWeights, Bool[Array, "n"]]:
-        """Weights of canonical points; ok is false beyond the limit or where no normal agrees."""
+        """Weights of canonical points: of the triangles of the nearest samples the closest whose normals agree
+        (dot > .5), else the closest. ok is false beyond the limit or where no normal agrees.
+        """
         points = np.asarray(points, np.float64)
         if len(points) == 0:
             return SkinWeights(np.zeros((0, 4), int), np.zeros((0, 4), np.float32)), np.zeros(0, bool)
-        face, weights, gap, agrees = self.closest(points, normals)
-        return blend_skin(self.skin, self.faces[face], weights), agrees & (gap < self.limit)
+        rows = np.asarray(self.tree.query(points, k=6, workers=-1)[1])
+
+        def agrees(face: Int[Array, "n"], weights: Float[Array, "n 3"]) -> Bool[Array, "n"]:
+            normal = np.einsum("nk,nkc->nc", weights, self.normals[self.faces[face]])
+            return (normal * normals).sum(1) > 0.5 * np.linalg.norm(normal, axis=1)
+
+        face, weights, gap, agree = best_candidate(points, self.face[rows], self.vertices[self.faces], agrees)
+        return blend_skin(self.skin, self.faces[face], weights), agree & (gap < self.limit)
 
     def of_mesh(
         self,

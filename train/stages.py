@@ -8,8 +8,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
@@ -17,7 +18,8 @@ import torch
 from avatar.light import CaptureLight
 from avatar.similarity import Registration, similarity_from_landmarks
 from avatar.skeleton import PARTS
-from capture.fit.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
+from capture.fit.align import ROUNDS
+from capture.fit.refine import RefineJob, copy_refined, refine_capture, with_learned, with_refined
 from capture.folder import Capture, CaptureSubject, read_capture, write_subject
 from capture.light.fit import fit_capture_light, light_line
 from capture.template.clothes import with_clothes
@@ -36,36 +38,22 @@ from train.compose import HeadPlacement, TrainedParts, compose, consistent_place
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
 from train.light import VideoLight, video_light
-from train.log import tensorboard_installed
-from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
+from train.part_job import PartJob, step_note, train_part
 from train.preset import Preset, chosen_preset
 from train.seen import seen_parts
 from train.session import Session, capture_digest, capture_place, digest_of, exclusive_lock, open_session
 from train.trainer import Checkpoints, Watch, peak_memory
 from train.union import read_rays
 
-# time of what follows stage 1, as a share of it, for the time left; demo on two cores
-AFTER = 0.2
 # the order of the parts in which two workers end together
 HEAVIEST_FIRST = (1, 0, 2, 3)
 
 T = TypeVar("T")
 
 
-class Clocks(NamedTuple):
+def clocks() -> np.ndarray:
     """Seconds of the wall clock and of the processor, this process and its finished children together."""
-
-    wall: float
-    processor: float
-
-    @classmethod
-    def now(cls) -> "Clocks":
-        return cls(time.monotonic(), sum(os.times()[:4]))
-
-    def since(self) -> "Clocks":
-        """What has passed."""
-        now = Clocks.now()
-        return Clocks(now.wall - self.wall, now.processor - self.processor)
+    return np.array([time.monotonic(), sum(os.times()[:4])])
 
 
 @dataclass(frozen=True)
@@ -83,7 +71,8 @@ class Training:
     # where the head's video lies on the template before anything is learned
     head: HeadPlacement
     say: Callable[[str], None]
-    began: Clocks
+    # as `clocks` stood
+    began: np.ndarray
     # each video's; empty: light is no factor of its own
     lights: dict[str, CaptureLight] = field(default_factory=dict)
     # what was done to poses and masks, for run.json
@@ -105,8 +94,8 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
     """Train all parts, compose them, and write the run folder; `preset` replaces the one that the options name.
 
     Parts learn independently (stage 1), two at a time on a CPU with two cores, each on its own thread; under
-    torchrun one after the other, each on all ranks. Checkpoints, logs and previews lie beside the run folder, in
-    RUN.partial, until the run is complete. A signal raises `Stopped` once they are saved.
+    torchrun one after the other, each on all ranks. Checkpoints and logs lie beside the run folder, in RUN.partial,
+    until the run is complete. A signal raises `Stopped` once they are saved.
     """
     with ExitStack() as held:
         training = begin(options, chosen_preset(options) if preset is None else preset, held)
@@ -131,7 +120,7 @@ def begin(
     """
     held.enter_context(prompt_stop())
     ranks, device = join_ranks(options.device)
-    say: Callable[[str], None] = _say if ranks.writes else lambda text: None
+    say: Callable[[str], None] = partial(print, flush=True) if ranks.writes else lambda text: None
     capture, session = read_capture(options.capture), None
     if ranks.writes:
         held.enter_context(exclusive_lock(options.out))
@@ -140,14 +129,12 @@ def begin(
     session = ranks.broadcast(session)
     if session is None:
         return None
-    began = Clocks.now()
-    if ranks.writes and preset.learns and not tensorboard_installed():
-        say("logs: CSV only; `pip install tensorboard` adds events for it")
+    began = clocks()
     head = landmark_placement(_register_landmarks(capture, say))
     if preset.learns:
         names = ", ".join(preset.names)
         say(f"stage 1: {names} by volume rendering of signed distance (Eq. 10-12), preset {preset.name}")
-        say(f"logs, previews and checkpoints: {session.partial}")
+        say(f"logs and checkpoints: {session.partial}")
     else:
         say("a first avatar: the template as carved, in the colors that the videos show; nothing is learned")
     return Training(options, preset, capture, session, ranks, device, head, say, began)
@@ -203,21 +190,19 @@ def finish(training: Training, facts: dict[str, dict]) -> None:
         )  # fmt: skip
         if meets:
             shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
-        run_folder.write_codes(folder / "codes.npz", dict(zip(preset.names, fields)))
         for name, field in zip(preset.names, fields):
             run_folder.write_part(folder / f"{name}.pt", field)
         copy_refined(partial, folder)
-        for name in ("logs", "preview"):
-            if (partial / name).is_dir():
-                shutil.copytree(partial / name, folder / name)
-        run_folder.write_surface(folder / "surface.npz", person.surface, person.tables)
+        if (partial / "logs").is_dir():
+            shutil.copytree(partial / "logs", folder / "logs")
+        run_folder.write_surface(folder / "surface.npz", person.surface)
         if person.eyes is not None:
             run_folder.write_eyes(folder / "eyes.npz", person.eyes)
         shutil.copyfile(partial / "subject.npz", folder / "subject.npz")
-        seconds["all"] = training.began.since().wall
+        seconds["all"] = float((clocks() - training.began)[0])
         run_folder.write_json(folder / "run.json", _run_facts(training, facts, seconds) | person.facts)
     shutil.rmtree(partial, ignore_errors=True)
-    memory = memory_text(peak_memory(device))
+    memory = f"peak memory {peak_memory(device) / 1e9:.2f} GB"
     training.say(f"{out}: {len(person.surface.vertices)} surface vertices, {seconds['all']:.0f} s, {memory}")
 
 
@@ -239,9 +224,9 @@ def _run_facts(training: Training, parts: dict[str, dict], seconds: dict[str, fl
         "canonical_pose": "hips opened 30 degrees about z (avatar.skeleton.BIG_POSE)",
         "seconds": {name: round(value, 1) for name, value in seconds.items()},
         # with its workers', without other ranks'; of the last sitting, as the seconds are
-        "cpu_seconds": round(training.began.since().processor, 1),
+        "cpu_seconds": round(float((clocks() - training.began)[1]), 1),
         "resumed": training.session.resumed,
-        "peak_memory_mb": memory | {"composition": megabytes(peak_memory(training.device))},
+        "peak_memory_mb": memory | {"composition": round(peak_memory(training.device) / 1e6)},
         "parts": parts,
         "refined": training.refined,
         "light": None,
@@ -363,7 +348,7 @@ def part_job(training: Training, folder: Path, index: int) -> PartJob:
         capture=str(training.capture.path), index=index, preset=training.preset, canonical_from_head=place,
         folder=str(folder), device=training.device, threads=1, ranks=training.ranks, seed=options.seed,
         light=training.video_light(PARTS[index], place), resume=training.session.resumed,
-        save_every=options.save_every, preview_every=options.preview,
+        save_every=options.save_every,
     )  # fmt: skip
 
 
@@ -376,9 +361,5 @@ def train_parts(training: Training, jobs: Sequence[PartJob]) -> dict[str, dict]:
     # each worker reads its own video; those of this process would lie beside them for as long as they learn
     let_go(training.capture.videos)
     totals = {name: job.settings.iterations for name, job in by_name.items()}
-    board = ProgressBoard(totals, workers, after=AFTER, stream=None if training.ranks.writes else io.StringIO())
+    board = ProgressBoard(totals, workers, stream=None if training.ranks.writes else io.StringIO())
     return run_jobs(by_name, train_part, board, workers)
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)

@@ -37,14 +37,13 @@ class Surface:
     layer: Int[Array, "vertices"]
 
 
-def grid_axes(
-    parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_cell: float, details: Sequence[Detail] = ()
-) -> list[Array]:
+def grid_axes(parts: tuple[Part, ...], cells: Sequence[float], details: Sequence[Detail]) -> list[Array]:
     """Lines of a rectilinear grid that are close where a fine part or a detail lies and far elsewhere.
 
     One grid means one watertight mesh. Each axis takes the finest cell that anything asks for at that coordinate.
     """
-    cells = {"head": head_cell, "hand_left": hand_cell, "hand_right": hand_cell}
+    body_cell, head_cell, hand_cell = cells
+    own_cell = {"head": head_cell, "hand_left": hand_cell, "hand_right": hand_cell}
     axes = []
     whole = parts[0].extent
     for axis in range(3):
@@ -53,33 +52,29 @@ def grid_axes(
             lines.append(at)
             near = [p for p in parts[1:] if p.extent.low[axis] - 0.01 <= at <= p.extent.high[axis] + 0.01]
             own = [d.step for d in details if d.low[axis] - head_cell <= at <= d.high[axis]]
-            at += min([body_cell, *(cells[p.name] for p in near), *own])
+            at += min([body_cell, *(own_cell[p.name] for p in near), *own])
         axes.append(np.array([*lines, at]))
     return axes
 
 
 def extract_surface(
-    field: FusedField,
-    parts: tuple[Part, ...],
-    subject: CaptureSubject,
-    *,
-    body_cell: float,
-    head_cell: float,
-    hand_cell: float,
-    near: float = 0.02,
+    field: FusedField, parts: tuple[Part, ...], subject: CaptureSubject, cells: Sequence[float]
 ) -> tuple[TriangleMesh, Int[Array, "vertices"]]:
-    """Marching cubes on a rectilinear grid, and the layer of each vertex (capture/template/layers.py).
+    """Marching cubes on a rectilinear grid, and the layer of each vertex (capture/template/layers.py); `cells` of body,
+    head and hands, metres.
 
     The body is the largest connected piece, facing outwards; where hair is a layer of its own its pieces follow.
-    The field is asked only at grid points within `near` of a coarse pass (every fourth line) that found the
+    The field is asked only at grid points within 2 cm of a coarse pass (every fourth line) that found the
     surface near; all others take the coarse value. Neither floaters nor a second person survive, nor sheets deep
     inside the subject's template, which may hang on the skin by a pinhole and be turned out by skinning.
 
     Raises:
         ValueError: the field has no zero crossing in the box.
     """
-    distance = solid_inside(template_behind_cloth(lambda points: _ask(field, points), subject), subject)
-    axes = grid_axes(parts, body_cell, head_cell, hand_cell, field.details())
+    to_field = lambda points: torch.as_tensor(points, dtype=torch.float32, device=field.device)
+    asked = lambda points: field.distance(to_field(points)).cpu().numpy()
+    distance = solid_inside(template_behind_cloth(asked, subject), subject)
+    axes = grid_axes(parts, cells, field.details())
     thin = [np.unique(np.r_[axis[::4], axis[-1]]) for axis in axes]
     coarse = distance(np.stack(np.meshgrid(*thin, indexing="ij"), -1).reshape(-1, 3))
     coarse = coarse.reshape([len(axis) for axis in thin])
@@ -87,7 +82,7 @@ def extract_surface(
     values = coarse.astype(np.float32)
     for axis in range(3):
         values = _interpolated(values, thin[axis], axes[axis], axis)
-    band = np.abs(values) < near + 0.5 * max(np.diff(a).max() for a in thin)
+    band = np.abs(values) < 0.02 + 0.5 * max(np.diff(a).max() for a in thin)
     index = np.argwhere(band)
     points = np.stack([axes[i][index[:, i]] for i in range(3)], 1)
     values[tuple(index.T)] = distance(points)
@@ -110,10 +105,6 @@ def extract_surface(
         pieces += separate_pieces(zero_set_mesh(hair, around), LEAST_HAIR)
     layer = np.concatenate([np.full(len(p.vertices), min(i, HAIR)) for i, p in enumerate(pieces)])
     return concatenated(pieces), layer
-
-
-def _ask(field: FusedField, points: Array) -> Array:
-    return field.distance(torch.as_tensor(points, dtype=torch.float32, device=field.device)).cpu().numpy()
 
 
 def _interpolated(values: Array, old: Array, new: Array, axis: int) -> Array:

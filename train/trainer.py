@@ -1,5 +1,6 @@
 """The loop of stage 1 (TotalSelfScan, section 3.4): one part learns its field from its video."""
 
+import resource
 import signal
 import sys
 import time
@@ -19,7 +20,6 @@ from train.log import TrainingLog
 from train.networks import FeatureGrid
 from train.objective import Batch, Extra, RayTensors, StepReport, beta_at, choose_rays, losses, rho_at
 from train.preset import PartPreset, Preset
-from train.preview import Preview
 
 REPORT_EVERY = 10  # steps between rows of the log
 
@@ -86,7 +86,6 @@ class Watch:
     # takes the step and its numbers
     report: Callable[[int, StepReport], None] | None = None
     log: TrainingLog | None = None
-    preview: Preview | None = None
 
 
 UNSAVED, UNWATCHED = Checkpoints(), Watch()
@@ -199,8 +198,8 @@ class _Steps:
         self.generator = torch.Generator(device="cpu").manual_seed(training.seed)
         self.weight = training.ranks.weight(training.preset.rays)
         self.frame_counts = torch.bincount(rays.frame).cpu()
-        # against its first value, and metres: as the last step had them
-        self.rate = self.beta = 0.0
+        # against its first value, as the last step had it
+        self.rate = 0.0
 
     def take(self, iteration: int, stop: bool) -> tuple[bool, Callable[[], StepReport], bool]:
         """One step: whether it was finite, what describes it, and whether any rank wants to `stop`."""
@@ -216,8 +215,7 @@ class _Steps:
         chosen = choose_rays(self.frame_counts, preset, self.generator)
         u = torch.rand(preset.rays, generator=self.generator)
         chosen, u = (ranks.share(drawn).to(self.rays.ends.device) for drawn in (chosen, u))
-        self.beta = beta_at(rung, part, preset)
-        batch = Batch(chosen, u, self.beta, rho_at(rung, part))
+        batch = Batch(chosen, u, beta_at(rung, part, preset), rho_at(rung, part))
         loss, describe = losses(self.field, self.rays, batch, part, preset, extra=self.training.extra)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -230,8 +228,8 @@ class _Steps:
 
 
 def _show(steps: _Steps, watch: Watch, describe: Callable[[], StepReport], iteration: int, seconds: float) -> None:
-    """Log, report and draw a step that was taken, where it is its turn."""
-    training, log, preview = steps.training, watch.log, watch.preview
+    """Log and report a step that was taken, where it is its turn."""
+    training, log = steps.training, watch.log
     last = iteration == training.part.iterations
     if (log is not None or watch.report is not None) and (iteration % REPORT_EVERY == 0 or last):
         ranks = training.ranks
@@ -240,10 +238,6 @@ def _show(steps: _Steps, watch: Watch, describe: Callable[[], StepReport], itera
             log.row(iteration, seconds, steps.rate, vars(step))
         if watch.report is not None:
             watch.report(iteration, step)
-    if preview is not None and (iteration % preview.every == 0 or last):
-        image = preview.draw(steps.field, steps.beta, training.preset)
-        if log is not None:
-            log.image(iteration, image)
 
 
 @contextmanager
@@ -260,13 +254,9 @@ def flushed_denormals() -> Iterator[None]:
         torch.set_flush_denormal(False)
 
 
-def peak_memory(device: str) -> int | None:
-    """Most memory that this process (or, on CUDA, its tensors) ever held, bytes; None where it cannot be asked."""
+def peak_memory(device: str) -> int:
+    """Most memory that this process (or, on CUDA, its tensors) ever held, bytes."""
     if device.startswith("cuda"):
         return torch.cuda.max_memory_allocated(device)
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -55,22 +55,20 @@ def in_overlap(shares: Float[Tensor, "n p"], index: int) -> Bool[Tensor, "n"]:
     return (shares[:, index] > 0) & (shares[:, index] < 1)
 
 
-def overlap_surface(
-    fused: FusedField, subject: CaptureSubject, spacing: float = 0.006, most: int = 1500
-) -> list[Float[Tensor, "_ 3"]]:
-    """S_j of Eq. 7 for head and hands: at most `most` points of the part's zero level in its overlap with the body."""
+def overlap_surface(fused: FusedField, subject: CaptureSubject) -> list[Float[Tensor, "_ 3"]]:
+    """S_j of Eq. 7 for head and hands: at most 1500 points of the part's zero level in its overlap with the body."""
     faces = np.asarray(subject.faces)[visible_faces(subject)]
     middle = torch.as_tensor(subject.vertices[faces].mean(1), dtype=torch.float32, device=fused.device)
     shares = fused.shares(middle).cpu()
     out = []
     for index in range(1, len(fused.fields)):
         near = faces[in_overlap(shares, index).numpy()]
-        seeds = lattice_samples(subject.vertices, near, np.full(len(near), spacing))
+        seeds = lattice_samples(subject.vertices, near, np.full(len(near), 0.006))
         normals = face_normals(subject.vertices, near)[seeds.face]
         level = zero_level(fused, index, seeds.on(subject.vertices, near), normals)
         points = torch.as_tensor(level.points[level.arrived], dtype=torch.float32, device=fused.device)
         points = points[in_overlap(fused.shares(points), index)]
-        out.append(points[:: -(-len(points) // most) or 1])
+        out.append(points[:: -(-len(points) // 1500) or 1])
     return out
 
 

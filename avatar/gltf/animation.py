@@ -22,6 +22,7 @@ from avatar.gltf.write import GltfBuilder
 from avatar.helper_joints import HelperJoints
 from avatar.motion.clip import Clip
 from avatar.rotation import normalised_quaternion, quaternion_from_axis_angle
+from command.errors import AssetError
 from files.input_file import JsonObject
 from files.whole import whole_file
 
@@ -32,16 +33,17 @@ PELVIS_HEIGHT = "pelvisHeight"
 def write_animated(path: Path | str, avatar_path: Path | str, clip: Clip, *, name: str = "motion") -> None:
     """Write the avatar file `avatar_path` with the clip as its one animation; whole or not at all.
 
-    Everything else stays byte for byte, so the result is still an avatar file; an animation that was there is
-    replaced.
+    Everything else stays byte for byte, so the result is still an avatar file.
 
     Raises:
-        AssetError: `avatar_path` is not an avatar file.
+        AssetError: `avatar_path` is not an avatar file, or it has an animation.
         ValueError: no frames, numbers that are not finite, or so many frames that float32 seconds repeat.
     """
     helpers, gltf = helper_joints(read_avatar(avatar_path, levels=1)), read_gltf(avatar_path)
     if len(gltf.buffers) != 1:
         raise gltf.error("buffers", "one, the file's own", len(gltf.buffers))
+    if gltf.items("animations"):
+        raise AssetError(f"{avatar_path}: holds a motion; export from the avatar that it was made of")
     document: JsonObject = json.loads(json.dumps(gltf.json))
     builder = _kept(document, bytes(gltf.buffers[0]))
     document["animations"] = [_animation(builder, read_skin(gltf, 0).nodes, clip, name, helpers)]
@@ -95,27 +97,9 @@ def _animation(
 
 
 def _kept(document: JsonObject, binary: bytes) -> GltfBuilder:
-    """A builder that holds what the file has; taken out of `document`, where to_bytes puts it back.
-
-    An old animation goes, with its accessors and bytes where they stand at the end, as they are written here.
-    """
-    accessors, views = document.get("accessors", []), document.get("bufferViews", [])
-    old = {
-        index
-        for animation in document.pop("animations", [])
-        for sampler in animation.get("samplers", [])
-        for index in (sampler.get("input"), sampler.get("output"))
-        if isinstance(index, int)
-    }
-    first = min(old, default=len(accessors))
-    if old == set(range(first, len(accessors))) and first:
-        kept = max((accessor.get("bufferView", -1) for accessor in accessors[:first]), default=-1)
-        kept = max([kept, *(image.get("bufferView", -1) for image in document.get("images", []))])
-        accessors, views = accessors[:first], views[: kept + 1]
-        binary = binary[: max(view.get("byteOffset", 0) + view["byteLength"] for view in views)]
+    """A builder that holds what the file has; taken out of `document`, where to_bytes puts it back."""
     builder = GltfBuilder()
-    builder.accessors, builder.views, builder.binary = accessors, views, bytearray(binary)
-    builder.images = document.pop("images", [])
-    for key in ("accessors", "bufferViews", "buffers"):
-        document.pop(key, None)
+    builder.accessors, builder.views = document.pop("accessors", []), document.pop("bufferViews", [])
+    builder.images, builder.binary = document.pop("images", []), bytearray(binary)
+    document.pop("buffers", None)
     return builder

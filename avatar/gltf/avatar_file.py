@@ -15,7 +15,6 @@ import numpy as np
 from numpy import ndarray as Array
 
 from avatar.baked_avatar import (
-    FEATURES,
     NETWORK_ARRAYS,
     VIEW_MODES,
     Avatar,
@@ -85,10 +84,7 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
         raise gltf.error(f"{where}.amplitude", "a number", amplitude)
     linear = None
     if "linear" in extension:
-        values = extension["linear"]
-        # there are 4 features unless there are as many numbers as for 8
-        count = FEATURES[isinstance(values, list) and len(values) == 9 * FEATURES[1]]
-        linear = gltf.numbers(extension, "linear", where, (count, 3, 3)).astype(np.float32)
+        linear = gltf.numbers(extension, "linear", where, (4, 3, 3)).astype(np.float32)
     try:
         avatar = Avatar(
             name=extension["name"],
@@ -140,8 +136,8 @@ def _read_network(gltf: Gltf, extension: JsonObject) -> ViewNetwork | None:
         return None
     if not isinstance(network, dict):
         raise gltf.error(where, "an object", network)
-    shapes = NETWORK_ARRAYS[8 if "w3" in network else 4]
-    arrays = {name: gltf.numbers(network, name, where, shape).astype(np.float32) for name, shape in shapes.items()}
+    shapes = NETWORK_ARRAYS.items()
+    arrays = {name: gltf.numbers(network, name, where, shape).astype(np.float32) for name, shape in shapes}
     unknown = sorted(set(network) - set(arrays))
     if unknown:
         raise gltf.error(where, f"of {', '.join(arrays)} alone", unknown)
@@ -156,7 +152,7 @@ def _read_levels(gltf: Gltf, extension: JsonObject, wanted: int | None, *, twist
     sources = [_level_source(gltf, item, f"{where}[{i}]") for i, item in enumerate(items)]
     # The same mesh or image again would multiply what a small file costs to decode.
     meshes = [source.mesh for source in sources]
-    images = [image for source in sources for image in (source.base_color, *source.features)]
+    images = [image for source in sources for image in (source.base_color, source.features) if image is not None]
     for name, used in (("mesh", meshes), ("image", images)):
         if len(set(used)) != len(used):
             raise gltf.error(where, f"with a {name} of their own each", used)
@@ -169,17 +165,13 @@ def _read_levels(gltf: Gltf, extension: JsonObject, wanted: int | None, *, twist
     with ThreadPoolExecutor(DECODERS) as pool:
         unpacked = [
             (pool.submit(_of_image, gltf, source.base_color, decode_png, "RGB"),
-             [pool.submit(_four_features, gltf, image) for image in source.features])
+             None if source.features is None else pool.submit(_four_features, gltf, source.features))
             for source in sources[:wanted]
         ]  # fmt: skip
-        for i, (mesh, _, feature_images) in enumerate(sources[:wanted]):
+        for i, mesh in enumerate(meshes[:wanted]):
             arrays, (base_color, features) = _read_surface(gltf, mesh), unpacked[i]
             arrays["base_color"] = base_color.result()
-            fours = [four.result() for four in features]
-            if len({four.shape for four in fours}) > 1:
-                found = [four.shape[:2] for four in fours]
-                raise gltf.error(f"images[{feature_images[1]}]", f"of the size of images[{feature_images[0]}]", found)
-            fields: JsonObject = {**arrays, "features": np.concatenate(fours, axis=2) if fours else None}
+            fields: JsonObject = {**arrays, "features": None if features is None else features.result()}
             if twisted:
                 fields["twist"] = _twist_skin(gltf, mesh, arrays)
                 fields["joints"], fields["weights"] = fields["twist"].folded()
@@ -193,8 +185,7 @@ class _Source(NamedTuple):
 
     mesh: int
     base_color: int  # image
-    # images of four features each: none, one or two
-    features: tuple[int, ...]
+    features: int | None  # image of four features
 
 
 def _four_features(gltf: Gltf, image: int) -> Array:
@@ -216,10 +207,9 @@ def _level_source(gltf: Gltf, item: object, where: str) -> _Source:
     base_color = base_color_image(gltf, material)
     if base_color is None:
         raise gltf.error(f"materials[{material}]", "with a base colour texture", None)
-    keys = [key for key in ("featureImage", "featureImage2") if item.get(key) is not None]
-    if keys == ["featureImage2"]:
-        raise gltf.error(f"{where}.featureImage", "there, as featureImage2 is", None)
-    features = tuple(gltf.index("images", item[key], f"{where}.{key}") for key in keys)
+    features = item.get("featureImage")
+    if features is not None:
+        features = gltf.index("images", features, f"{where}.featureImage")
     return _Source(mesh, base_color, features)
 
 

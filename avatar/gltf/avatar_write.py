@@ -61,10 +61,8 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         meshes.append({"name": name, "primitives": [primitive]})
         levels.append({"mesh": i})
         if level.features is not None:
-            for key, first in (("featureImage", 0), ("featureImage2", 4))[: level.features.shape[2] // 4]:
-                planes = np.concatenate(np.moveaxis(level.features[..., first : first + 4], -1, 0))  # (4 h, w)
-                title = f"{name} features" + (f" {first} to {first + 3}" if first else "")
-                levels[i][key] = builder.add_image(encode_png(planes), title)
+            planes = np.concatenate(np.moveaxis(level.features, -1, 0))  # (4 h, w)
+            levels[i]["featureImage"] = builder.add_image(encode_png(planes), f"{name} features")
 
     return builder.to_bytes(
         {

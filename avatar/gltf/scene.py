@@ -13,7 +13,7 @@ from avatar.texture import bytes_of, linear_from_srgb, srgb_from_linear
 from command.errors import AssetError
 from files.picture import WITH_WEBP, decode_picture
 
-TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
+TRIANGLES = 4  # of a primitive's modes
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def primitives(gltf: Gltf, mesh: object) -> list[dict]:
 
 
 def read_primitive(gltf: Gltf, mesh: int, primitive: int = 0) -> Primitive:
-    """The arrays of one primitive, all of one length, and its triangles (lists, strips and fans)."""
+    """The arrays of one primitive, all of one length, and its triangles."""
     part, where = primitives(gltf, mesh)[primitive], f"meshes[{mesh}].primitives[{primitive}]"
     attributes = attribute_accessors(gltf, mesh, primitive)
     arrays = {
@@ -182,8 +182,8 @@ def triangles(gltf: Gltf, mesh: int, primitive: int, vertices: int) -> UInt32[Ar
     """The triangles of a primitive with this many vertices; every index is below it."""
     part, where = primitives(gltf, mesh)[primitive], f"meshes[{mesh}].primitives[{primitive}]"
     mode = part.get("mode", TRIANGLES)
-    if type(mode) is not int or mode not in (TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN):
-        raise gltf.error(f"{where}.mode", "triangles (4, 5 or 6)", mode)
+    if mode != TRIANGLES:
+        raise gltf.error(f"{where}.mode", "4, a list of triangles", mode)
     if "indices" in part:
         indices = gltf.accessor(part["indices"], field=f"{where}.indices")
         if indices.ndim != 1 or indices.dtype.kind != "u":
@@ -193,16 +193,9 @@ def triangles(gltf: Gltf, mesh: int, primitive: int, vertices: int) -> UInt32[Ar
     else:
         indices = np.arange(vertices)
     indices = indices.astype(np.uint32)
-    if len(indices) < 3 or (mode == TRIANGLES and len(indices) % 3):
+    if len(indices) < 3 or len(indices) % 3:
         raise gltf.error(f"{where}.indices", "whole triangles", len(indices))
-    if mode == TRIANGLES:
-        return indices.reshape(-1, 3)
-    if mode == TRIANGLE_FAN:
-        return np.stack([np.full(len(indices) - 2, indices[0]), indices[1:-1], indices[2:]], -1)
-    faces = np.stack([indices[:-2], indices[1:-1], indices[2:]], -1)
-    # every second triangle of a strip turns the other way
-    faces[1::2] = faces[1::2, [1, 0, 2]]
-    return faces
+    return indices.reshape(-1, 3)
 
 
 def texture_image(gltf: Gltf, texture: object, *, field: str = "texture") -> int:

@@ -50,9 +50,9 @@ class GltfBuilder:
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
-    def add_image(self, data: bytes, name: str, mime: str = "image/png") -> int:
-        """Store an encoded image and return its index."""
-        self.images.append({"name": name, "mimeType": mime, "bufferView": self._add_view(data, None)})
+    def add_image(self, data: bytes, name: str) -> int:
+        """Store a PNG and return its index."""
+        self.images.append({"name": name, "mimeType": "image/png", "bufferView": self._add_view(data, None)})
         return len(self.images) - 1
 
     def _add_view(self, data: bytes, target: int | None) -> int:

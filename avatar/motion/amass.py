@@ -65,17 +65,15 @@ def write_amass(
     *,
     up: str = "z",
     dtype: type = np.float64,
-    beside: Mapping[str, Array] | None = None,
 ) -> None:
     """Write a clip, or a motion of any length in constant memory, with AMASS keys, whole or not at all.
 
     up="z" is what AMASS and its tools expect: the clip is turned and trans = pelvis_z - J0, with J0 the usual one
     of SMPL+H. up="y" keeps our world, with trans = pelvis (J0 = 0). J0 and the up axis are stored beside (`pelvis`,
-    `up_axis`), so that reading back is exact. Arrays in `beside` go into the file under their own names; readers of
-    AMASS files pass over them.
+    `up_axis`), so that reading back is exact.
 
     Raises:
-        ValueError: `up` is neither, the clip is empty or not finite, or `beside` names a key that AMASS has.
+        ValueError: `up` is neither, or the clip is empty or not finite.
     """
     if up not in ("y", "z"):
         raise ValueError(f"up should be 'y' or 'z', is {up!r}")
@@ -104,11 +102,6 @@ def write_amass(
     }
     if clip.pelvis_height is not None:
         fields["pelvis_height"] = np.array(float(clip.pelvis_height))
-    if beside is not None:
-        taken = {"poses", "trans", *fields} & beside.keys()
-        if taken:
-            raise ValueError(f"{sorted(taken)} beside a clip are names of its own")
-        fields |= beside
     _write_members(path, frames, rows, np.dtype(dtype), fields)
 
 

@@ -10,10 +10,13 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from avatar.motion.clip import Motion, RestSkeleton, checked_rate
+from avatar.motion.retarget import retarget
+from avatar.motion.rig import AnimatedRig, runs
+from avatar.motion.smplh_rig import is_smplh, leg_length, read_exactly
 from avatar.rotation import matrix_from_axis_angle
 from command.errors import AssetError
 from files.input_file import open_input
@@ -31,22 +34,14 @@ UNITS = {1.0: "metre", 0.01: "centimetre", 0.001: "millimetre"}
 LEGS = (0.3, 1.4)
 
 
-@dataclass(frozen=True)
-class Bvh:
+@dataclass(frozen=True, kw_only=True)
+class Bvh(AnimatedRig):
     """One BVH file, opened: rest skeleton, channels, and where the frames lie."""
 
-    path: Path
-    names: tuple[str, ...]
-    # -1 for the root; parents come first
-    parents: tuple[int, ...]
     # from the parent, file units
     offsets: Float[Array, "joints 3"]
-    # End Sites: joint, offset from it
-    ends: tuple[tuple[int, tuple[float, float, float]], ...]
     # per joint, such as ("Xposition", ..., "Zrotation", ...)
     channels: tuple[tuple[str, ...], ...]
-    frames: int
-    rate: float  # frames per second
     # byte and line of frames 0, 64, 128, ...
     places: tuple[tuple[int, int], ...] = field(repr=False)
 
@@ -96,10 +91,10 @@ class Bvh:
         return row
 
     def transforms(
-        self, values: Float[Array, "frames channels"]
+        self, frames: Int[Array, "frames"]
     ) -> tuple[Float[Array, "frames joints 3 3"], Float[Array, "frames joints 3"]]:
         """Forward kinematics: rotation world_from_joint and position of every joint, in the file's world."""
-        count = len(values)
+        values, count = np.concatenate([self.values(*run) for run in runs(frames)]), len(frames)
         rotations, positions = np.zeros((count, len(self.names), 3, 3)), np.zeros((count, len(self.names), 3))
         column = 0
         for joint, channels in enumerate(self.channels):
@@ -233,7 +228,10 @@ def _hierarchy(reader: _Lines) -> Bvh:
                 raise reader.error(f"joint {names[joint]} has no OFFSET")
             inside.pop()
     places = np.array(offsets, np.float64)
-    return Bvh(reader.path, tuple(names), tuple(parents), places, tuple(ends), tuple(channels), 0, 1.0, ())
+    return Bvh(
+        path=reader.path, names=tuple(names), parents=tuple(parents), ends=tuple(ends), frames=0, rate=1.0,
+        offsets=places, channels=tuple(channels), places=(),
+    )  # fmt: skip
 
 
 def _channel_names(reader: _Lines, words: list[str]) -> tuple[str, ...]:
@@ -295,10 +293,6 @@ def _index(reader: _Lines, frames: int, width: int) -> tuple[tuple[int, int], ..
 
 def read_bvh(path: Path | str, skeleton: RestSkeleton | None = None) -> Motion:
     """Open a BVH file as a motion of our skeleton: exactly where its rig is ours, else by avatar/motion/retarget.py."""
-    # both import what is here
-    from avatar.motion.retarget import retarget
-    from avatar.motion.smplh_rig import is_smplh, leg_length, read_exactly
-
     bvh = open_bvh(path)
     if not is_smplh(bvh):
         return retarget(bvh, skeleton)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from avatar.gltf.document import Gltf, read_gltf
@@ -22,6 +22,7 @@ from avatar.gltf.humanoid import Naming, find_naming
 from avatar.gltf.scene import NodePlace, node_parents, node_place, parents_first, read_skin
 from avatar.motion.clip import Motion, RestSkeleton
 from avatar.motion.retarget import retarget
+from avatar.motion.rig import AnimatedRig
 from avatar.motion.smplh_rig import LIMBS, is_smplh, off_t_pose, read_exactly
 from avatar.rotation import (
     matrix_from_quaternion,
@@ -80,35 +81,28 @@ class Channel:
         return a + u[:, None] * (b - a)
 
 
-@dataclass(frozen=True)
-class GltfRig:
-    """The nodes that move a humanoid, parents first; a Rig for avatar/motion/retarget.py."""
+@dataclass(frozen=True, kw_only=True)
+class GltfRig(AnimatedRig):
+    """The nodes that move a humanoid, called as in JOINTS, or "__..." where they lie between them."""
 
-    path: Path
-    # names of JOINTS, or "__..." for the nodes between them
-    names: tuple[str, ...]
-    parents: tuple[int, ...]
     translation: Float[Array, "nodes 3"]
     rotation: Float[Array, "nodes 4"]
     scale: Float[Array, "nodes 3"]
     channels: dict[tuple[int, str], Channel] = field(repr=False)
-    frames: int
-    rate: float
     start: float  # seconds
-    rest: Float[Array, "nodes 3 3"]  # world_from_bone at rest
-    rest_positions: Float[Array, "nodes 3"]
-    ends: tuple[tuple[int, tuple[float, float, float]], ...] = ()
+    # world_from_bone and places at rest
+    rest: tuple[Float[Array, "nodes 3 3"], Float[Array, "nodes 3"]]
 
-    def values(self, start: int, stop: int) -> Float[Array, "frames 1"]:
-        """The time of each frame, seconds."""
-        return (self.start + np.arange(start, stop) / self.rate)[:, None]
+    @property
+    def rest_positions(self) -> Float[Array, "nodes 3"]:
+        return self.rest[1]
 
     def transforms(
-        self, values: Float[Array, "frames 1"]
+        self, frames: Int[Array, "frames"]
     ) -> tuple[Float[Array, "frames nodes 3 3"], Float[Array, "frames nodes 3"]]:
-        """Turn away from rest and place of every node in the world at these times."""
-        world, places = self.world(values[:, 0])
-        return world @ np.swapaxes(self.rest, -1, -2), places
+        """Turn away from rest and place of every node in the world."""
+        world, places = self.world(self.start + frames / self.rate)
+        return world @ np.swapaxes(self.rest[0], -1, -2), places
 
     def world(
         self, time: Float[Array, "frames"]
@@ -152,7 +146,7 @@ def read_gltf_motion(path: Path | str, skeleton: RestSkeleton | None = None) -> 
     notes: list[str] = []
     naming = find_naming(gltf.path, gltf.json)
     rig = _rig(gltf, naming, notes)
-    unturned = np.abs(rig.rest[[name in J for name in rig.names]] - np.eye(3)).max(initial=0) < 1e-4
+    unturned = np.abs(rig.rest[0][[name in J for name in rig.names]] - np.eye(3)).max(initial=0) < 1e-4
     if naming.name == "SMPL+H" and unturned and is_smplh(rig):
         return read_exactly(rig, notes, pelvis_height=_pelvis_height(gltf))
     return retarget(rig, skeleton, up_known=True, assumed=tuple(notes))
@@ -187,19 +181,17 @@ def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
     local = [_rest_place(gltf, node) for node in order]
     channels = _channels(gltf, place, notes)
     rate, start, frames = _timing(gltf, channels, notes)
+    translation, rotation, scale = (np.array(values) for values in zip(*local, strict=True))
     rig = GltfRig(
-        gltf.path,
-        tuple(joint_of.get(n, f"__{n}") if named else str(nodes[n].get("name", f"__{n}"))[:100] for n in order),
-        tuple(place[int(parents[n])] if parents[n] >= 0 else -1 for n in order),
-        np.array([place.translation for place in local]),
-        np.array([place.rotation for place in local]),
-        np.array([place.scale for place in local]),
-        channels, frames, rate, start, np.zeros((len(order), 3, 3)), np.zeros((len(order), 3)),
+        path=gltf.path,
+        names=tuple(joint_of.get(n, f"__{n}") if named else str(nodes[n].get("name", f"__{n}"))[:100] for n in order),
+        parents=tuple(place[int(parents[n])] if parents[n] >= 0 else -1 for n in order),
+        frames=frames, rate=rate, translation=translation, rotation=rotation, scale=scale, channels=channels,
+        start=start, rest=(np.zeros((len(order), 3, 3)), np.zeros((len(order), 3))),
     )  # fmt: skip
     _check_scales(gltf, rig, order)
     R, at = replace(rig, channels={}).world(np.zeros(1))
-    rest, places = _rest(gltf, naming, order, R[0], at[0], notes)
-    return replace(rig, rest=rest, rest_positions=places)
+    return replace(rig, rest=_rest(gltf, naming, order, R[0], at[0], notes))
 
 
 def _check_scales(gltf: Gltf, rig: GltfRig, order: list[int]) -> None:

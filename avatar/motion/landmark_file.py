@@ -65,11 +65,6 @@ class Frame:
     hands_world: dict[str, Float[Array, "21 4"]] = field(default_factory=dict)
     face: Float[Array, "points 4"] | None = None
 
-    @property
-    def has_motion(self) -> bool:
-        """Whether a body or a hand is in it."""
-        return self.pose is not None or self.pose_world is not None or bool(self.hands or self.hands_world)
-
 
 def is_mediapipe(content: object) -> bool:
     """Whether parsed JSON holds frames of which the first that is not empty has a field of MediaPipe's results."""
@@ -92,7 +87,7 @@ def read_landmarks(path: Path | str, notes: list[str]) -> tuple[list[Frame], Fil
         raise AssetError(f'{path}: expected {WHAT}: an object with "frames", 1 to {MOST_FRAMES} of them')
     facts = FilmFacts(*(_positive(path, content, key) for key in ("fps", "image_width", "image_height")))
     read = [_frame(f"{path}: frame {k}", frame, notes) for k, frame in enumerate(frames)]
-    if not any(frame.has_motion for frame in read):
+    if all(f.pose is None and f.pose_world is None and not f.hands and not f.hands_world for f in read):
         raise AssetError(f"{path}: no landmarks of a body or a hand in {len(read)} frames")
     return read, facts
 

@@ -76,7 +76,8 @@ def pose_from_points(points: Points, ours: Float[Array, "52 3"]) -> Float[Array,
         R[there] = _body(points.body[there], ours, points.seen)
     for side, hand in (("left", points.left_hand), ("right", points.right_hand)):
         wrist, elbow = J[f"{side}_wrist"], J[f"{side}_elbow"]
-        R[:, [wrist, *_finger_joints(side)]] = R[:, elbow, None]
+        fingers = [J[f"{side}_{finger}{n}"] for finger in FINGERS for n in (1, 2, 3)]
+        R[:, [wrist, *fingers]] = R[:, elbow, None]
         held = np.isfinite(hand).all((1, 2))
         if bool(np.any(held)):
             with_hand = R[held]
@@ -224,10 +225,6 @@ def _boxed(angles: Float[Array, "frames 52 3"]) -> Float[Array, "frames 52 3"]:
     """Angles inside the limits: each cut by itself first, so that a finger seen bent aside stays bent forward."""
     table = limits()
     return clamped_angles(np.clip(angles, table.low, table.high))
-
-
-def _finger_joints(side: str) -> list[int]:
-    return [J[f"{side}_{finger}{n}"] for finger in FINGERS for n in (1, 2, 3)]
 
 
 def _middle(pair: tuple[Array, Array]) -> Array:

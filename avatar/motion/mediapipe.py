@@ -1,13 +1,11 @@
 """MediaPipe's landmarks as a motion (avatar/motion/landmark_file.py has the files).
 
-In the picture y goes down and z away from the camera: a half turn about x makes our axes of it. Points in parts of the
-picture are stretched by its size, or, where that is not known, by the one of the usual shapes in which the limbs keep a
-body's proportions best. Where the person is comes from the picture, as far as it shows: sideways and up, never in
-depth; without pictures' points the lower foot stays on the ground. Gaps are filled, and noted.
+World landmarks move the body. Their y goes down and z away from the camera: a half turn about x makes our axes of it.
+Where the person is comes from the landmarks in the picture, where the file tells its size: sideways and up, never in
+depth; else the lower foot stays on the ground. Gaps are filled, and noted.
 """
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -24,15 +22,9 @@ from command.progress import plural
 from files.input_file import read_json
 
 ASSUMED_RATE = 30.0
-# width over height that pictures have
-SHAPES = (9 / 16, 2 / 3, 3 / 4, 4 / 5, 1.0, 5 / 4, 4 / 3, 3 / 2, 16 / 9)
-# what depths may have to be multiplied by, and the part of the misfit that must be left for it
-DEPTHS = (1.0, 0.85, 0.7, 0.55, 0.4)
-DEPTH_GAIN = 0.9
 # frames that a gap may have to be filled from both of its ends
 LONGEST_GAP = 15
 UNSEEN = 0.3  # median visibility below which a point is not used
-PIXELS = 5.0  # parts of a picture are never so large
 # the least length of a limb that has a direction, in lengths of the trunk
 SHORTEST = 1e-3
 FLIP = np.array([1.0, -1, -1])
@@ -47,8 +39,8 @@ def read_mediapipe(path: Path | str, skeleton: RestSkeleton | None = None) -> Mo
     """Open landmarks of MediaPipe.
 
     Raises:
-        AssetError: no landmarks, lists of other lengths than 33 or 21, numbers that are not finite, a body or a hand
-            whose points fall together. File, frame and field are named.
+        AssetError: no world landmarks, lists of other lengths than 33 or 21, numbers that are not finite, a body or a
+            hand whose points fall together. File, frame and field are named.
     """
     path = Path(path)
     notes: list[str] = []
@@ -56,12 +48,12 @@ def read_mediapipe(path: Path | str, skeleton: RestSkeleton | None = None) -> Mo
     skeleton = builtin_skeleton() if skeleton is None else skeleton
     ours = skeleton.joints.astype(np.float64)
     rate = checked_rate(f"{path}: fps", facts.fps) if facts.fps is not None else ASSUMED_RATE
-    picture = _picture(frames, facts, ours, notes)
-    body, seen, hips = _bodies(path, frames, picture, notes)
-    left, right = _hand_points(path, frames, picture, notes)
-    points = Points(body, left, right, seen)
-    pose = pose_from_points(points, ours)
-    root = _root(body, hips, ours, pose, notes)
+    if not any(frame.pose_world is not None or frame.hands_world for frame in frames):
+        raise AssetError(f"{path}: no world landmarks of a body or a hand; those in the picture are no motion")
+    body, seen = _bodies(path, frames, notes)
+    left, right = _hand_points(path, frames, notes)
+    pose = pose_from_points(Points(body, left, right, seen), ours)
+    root = _root(body, _hips(frames, facts), ours, pose, notes)
     if len(frames) > 1 and facts.fps is None:
         notes.append(f"no frame rate in the file: {ASSUMED_RATE:g} frames per second assumed")
 
@@ -71,89 +63,26 @@ def read_mediapipe(path: Path | str, skeleton: RestSkeleton | None = None) -> Mo
     return Motion(path.name, len(frames), rate, tuple(dict.fromkeys(notes)), block, skeleton.pelvis_height)
 
 
-class Picture(NamedTuple):
-    """What parts of a picture are in one unit: its width over its height, and what depths are multiplied by."""
-
-    aspect: float
-    depth: float
-
-
-def _picture(frames: list[Frame], facts: FilmFacts, ours: Array, notes: list[str]) -> Picture:
-    """The shape of the picture and the scale of depth, from the file or as a body's proportions have it."""
-    poses = [f.pose[:, :3] for f in frames if f.pose is not None]
-    flat = [points for f in frames for points in f.hands.values()]
-    if not poses and not flat:
-        return Picture(1.0, 1.0)
-    shapes, known = SHAPES, False
-    if any(np.abs(points[:, :2]).max() > PIXELS for points in [*poses, *(points[:, :3] for points in flat)]):
-        notes.append("landmarks: in pixels, z taken as pixels too")
-        shapes, known = (1.0,), True
-    elif facts.width is not None and facts.height is not None:
-        shapes, known = (facts.width / facts.height,), True
-    if not poses:
-        if not known:
-            notes.append("picture: its size is not known, taken as square")
-        return Picture(shapes[0] if known else 1.0, 1.0)
-    sample = np.stack(poses[:: max(1, len(poses) // 100)])
-    off = {(a, z): _off_proportions(sample, Picture(a, z), ours) for a in shapes for z in DEPTHS}
-    best = min(off, key=lambda pair: off[pair])
-    plain = min(((a, 1.0) for a in shapes), key=lambda pair: off[pair])
-    # depth is a guess of the detector's; it is only corrected where that matters
-    chosen = Picture(*(best if off[best] < DEPTH_GAIN * off[plain] else plain))
-    if not known:
-        notes.append(f"picture: size not known, width / height {chosen.aspect:.2f} fits a body's proportions best")
-    if chosen.depth != 1:
-        notes.append(f"depth: multiplied by {chosen.depth:g}, which fits a body's proportions best")
-    return chosen
-
-
-def _off_proportions(P: Float[Array, "frames 33 3"], picture: Picture, ours: Array) -> float:
-    """How far lengths are from a body's proportions: spread of the logarithms of their ratios to ours."""
-    at = _upright(P, picture)
-    ratios = []
-    for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")):
-        for n, side in enumerate(("left", "right")):
-            found = np.median(np.linalg.norm(at[:, PAIRS[b][n]] - at[:, PAIRS[a][n]], axis=-1))
-            ratios.append(found / np.linalg.norm(ours[J[f"{side}_{b}"]] - ours[J[f"{side}_{a}"]]))
-    trunk = at[:, list(PAIRS["shoulder"])].mean(1) - at[:, list(PAIRS["hip"])].mean(1)
-    shoulders = (ours[J["left_shoulder"]] + ours[J["right_shoulder"]] - ours[J["left_hip"]] - ours[J["right_hip"]]) / 2
-    ratios.append(np.median(np.linalg.norm(trunk, axis=-1)) / np.linalg.norm(shoulders))
-    across = np.median(np.linalg.norm(at[:, 11] - at[:, 12], axis=-1))
-    ratios.append(across / np.linalg.norm(ours[J["left_shoulder"]] - ours[J["right_shoulder"]]))
-    return float(np.std(np.log(np.maximum(ratios, 1e-9))))
-
-
-def _upright(points: Array, picture: Picture | None = None) -> Array:
-    """Points in our axes: metres as they are, or parts of a picture in parts of its width."""
-    scale = np.ones(3) if picture is None else np.array([1.0, 1 / picture.aspect, picture.depth])
-    return points[..., :3] * FLIP * scale
-
-
 def _bodies(
-    path: Path, frames: list[Frame], picture: Picture, notes: list[str]
-) -> tuple[Float[Array, "frames 33 3"], Bool[Array, "33"], Float[Array, "frames 3"]]:
-    """Bodies in our axes, which points are seen, and hips (x, y) and leg length in the picture.
+    path: Path, frames: list[Frame], notes: list[str]
+) -> tuple[Float[Array, "frames 33 3"], Bool[Array, "33"]]:
+    """Bodies in our axes, metres, and which points are seen.
 
     Frames without a body are filled between those with one; all are NaN where there is none at all.
     """
     count = len(frames)
-    metric = any(f.pose_world is not None for f in frames)
-    body, hips = np.full((count, BODY_POINTS, 3), np.nan), np.full((count, 3), np.nan)
+    body = np.full((count, BODY_POINTS, 3), np.nan)
     visible: list[Array] = []
     for k, f in enumerate(frames):
-        source = f.pose_world if metric else f.pose
-        if source is not None:
-            body[k] = _upright(source, None if metric else picture)
-            visible.append(source[:, 3])
+        if f.pose_world is not None:
+            body[k] = f.pose_world[:, :3] * FLIP
+            visible.append(f.pose_world[:, 3])
             _check_body(path, k, body[k])
-        if f.pose is not None:
-            flat = _upright(f.pose, picture)
-            hips[k] = [*flat[list(PAIRS["hip"]), :2].mean(0), _leg(flat[None])[0]]
     seen = np.ones(BODY_POINTS, bool)
     have = np.isfinite(body[:, 0, 0])
     if not have.any():
         notes.append("body: not in the file, in T-pose")
-        return body, seen, hips
+        return body, seen
     known = [v for v in visible if np.isfinite(v).all()]
     if known:
         values = np.stack(known)
@@ -167,10 +96,20 @@ def _bodies(
     missing = int((~have).sum())
     if missing:
         notes.append(f"body: not found in {missing} of {plural(count, 'frame')}, filled from the frames around them")
-    body = _filled(body, len(body))
-    kind = "metres (pose_world_landmarks)" if metric else "parts of the picture, whose depth is a guess"
-    notes.append(f"body: 33 landmarks in {kind}; turns about bones follow the bends of knees and elbows")
-    return body, seen, hips
+    notes.append("body: 33 landmarks in metres; turns about bones follow the bends of knees and elbows")
+    return _filled(body, len(body)), seen
+
+
+def _hips(frames: list[Frame], facts: FilmFacts) -> Float[Array, "frames 3"]:
+    """Hips (x, y) and leg length in the picture, in parts of its width; NaN where they or its size are not known."""
+    hips = np.full((len(frames), 3), np.nan)
+    if facts.width is not None and facts.height is not None:
+        unit = FLIP * [1.0, facts.height / facts.width, 1.0]
+        for k, f in enumerate(frames):
+            if f.pose is not None:
+                flat = f.pose[:, :3] * unit
+                hips[k] = [*flat[list(PAIRS["hip"]), :2].mean(0), _leg(flat[None])[0]]
+    return hips
 
 
 def _check_body(path: Path, frame: int, body: Float[Array, "33 3"]) -> None:
@@ -190,7 +129,7 @@ def _check_body(path: Path, frame: int, body: Float[Array, "33 3"]) -> None:
 
 
 def _hand_points(
-    path: Path, frames: list[Frame], picture: Picture, notes: list[str]
+    path: Path, frames: list[Frame], notes: list[str]
 ) -> tuple[Float[Array, "frames 21 3"], Float[Array, "frames 21 3"]]:
     """Left and right hand in our axes; short gaps are filled, elsewhere NaN."""
     out = []
@@ -198,12 +137,8 @@ def _hand_points(
         hand = np.full((len(frames), HAND_POINTS, 3), np.nan)
         for k, f in enumerate(frames):
             if side in f.hands_world:
-                hand[k] = _upright(f.hands_world[side])
-            elif side in f.hands:
-                hand[k] = _upright(f.hands[side], picture._replace(depth=1.0))
-            else:
-                continue
-            _check_hand(path, k, side, hand[k])
+                hand[k] = f.hands_world[side][:, :3] * FLIP
+                _check_hand(path, k, side, hand[k])
         found = np.isfinite(hand[:, 0, 0])
         hand = _filled(hand, LONGEST_GAP)
         missing = int((~np.isfinite(hand[:, 0, 0])).sum())

@@ -20,14 +20,14 @@ the fingers' rotations are carried along with the palm. The forearm's turn is sh
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from avatar.motion.fingers import FINGERS, MIRROR, finger_axes
 from avatar.motion.rest_pose import Alignment, hinge
+from avatar.motion.rig import AnimatedRig, runs
 from avatar.rotation import (
     left_up_frame,
     matrix_from_axis_angle,
@@ -91,22 +91,18 @@ def _parent(name: str) -> str:
     return {"spine0": "pelvis", "spine1": "spine0"}.get(name) or JOINTS[PARENTS[J[name]]]
 
 
-@dataclass(frozen=True)
-class MhrRig:
-    """MHR's joints over time, under our names: an AnimatedRig (avatar/motion/rig.py) for avatar/motion/retarget.py.
+@dataclass(frozen=True, kw_only=True)
+class MhrRig(AnimatedRig):
+    """MHR's joints over time, under our names.
 
     Its "turns away from rest" are the joints' own axes in the world, which `mhr_alignment` knows.
     """
 
-    path: Path
-    frames: int
-    rate: float
+    names: tuple[str, ...] = NAMES
+    parents: tuple[int, ...] = tuple(-1 if n == "pelvis" else NAMES.index(_parent(n)) for n in NAMES)
     # (start, stop) -> rotations and places of MHR's joints in our world, metres
     read: Callable[[int, int], tuple[Float[Array, "frames 127 3 3"], Float[Array, "frames 127 3"]]] = field(repr=False)
     joints: Float[Array, "52 3"]  # the skeleton that is to move
-    names: tuple[str, ...] = NAMES
-    parents: tuple[int, ...] = tuple(-1 if n == "pelvis" else NAMES.index(_parent(n)) for n in NAMES)
-    ends: tuple[tuple[int, tuple[float, float, float]], ...] = ()
 
     @cached_property
     def alignment(self) -> Alignment:
@@ -116,18 +112,13 @@ class MhrRig:
     @property
     def rest_positions(self) -> Float[Array, "joints 3"]:
         """The places of the first frame: only lengths are taken from them."""
-        return self.transforms(self.values(0, 1))[1][0]
-
-    def values(self, start: int, stop: int) -> Float[Array, "frames 1524"]:
-        """Rotations and places of MHR's joints, as `read` gives them, in rows."""
-        return np.concatenate([part.reshape(stop - start, -1) for part in self.read(start, stop)], 1)
+        return self.transforms(np.zeros(1, int))[1][0]
 
     def transforms(
-        self, values: Float[Array, "frames 1524"]
+        self, frames: Int[Array, "frames"]
     ) -> tuple[Float[Array, "frames joints 3 3"], Float[Array, "frames joints 3"]]:
         """Axes of each joint, every limb's and finger's bone laid exactly along the joints' places."""
-        R = values[:, : 9 * MHR_JOINTS].reshape(-1, MHR_JOINTS, 3, 3)
-        at = values[:, 9 * MHR_JOINTS :].reshape(-1, MHR_JOINTS, 3)
+        R, at = (np.concatenate(parts) for parts in zip(*(self.read(*run) for run in runs(frames)), strict=True))
         G = R[:, [turn for turn, _ in NUMBERS.values()]]
         places = at[:, [place for _, place in NUMBERS.values()]]
         for side in ("left", "right"):
@@ -141,7 +132,8 @@ class MhrRig:
             for bone in BONES:
                 joint = NAMES.index(f"{side}_{bone[0]}")
                 bone_way = at[:, _end(side, bone[1])] - places[:, joint]
-                G[:, joint] = along_bone(G[:, joint], bone_way, side)
+                along = unit_or_zero(G[:, joint, :, 0] * sign(side))
+                G[:, joint] = rotation_between(along, unit_or_zero(bone_way)) @ G[:, joint]
             self._share_forearm(G, side)
         return G, places
 
@@ -198,12 +190,6 @@ def palm_frames(at: Float[Array, "frames 127 3"], side: str) -> Float[Array, "fr
     """Frame of the palm: x from the wrist to the middle finger, z towards the forefinger's side."""
     places = {name: at[:, NUMBERS[f"{side}_{name}"][1]] for name in ("wrist", "middle1", "index1", "pinky1")}
     return palm_frame(places["middle1"] - places["wrist"], places["index1"] - places["pinky1"])
-
-
-def along_bone(G: Float[Array, "frames 3 3"], bone: Float[Array, "frames 3"], side: str) -> Float[Array, "frames 3 3"]:
-    """The axes, turned by the least that lays x along the bone."""
-    x = G[:, :, 0] * sign(side)
-    return rotation_between(unit_or_zero(x), unit_or_zero(bone)) @ G
 
 
 def off_bones(

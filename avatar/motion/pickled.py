@@ -1,7 +1,7 @@
-"""Pose sequences in pickles (.pkl): SMPL+H and MoSh files, 3DPW, and fits saved with SMPL's parameter names.
+"""Pose sequences in pickles (.pkl): SMPL+H and MoSh files, and fits saved with SMPL's parameter names.
 
-Their names are those of avatar/motion/smpl_fields.py. A file of several people (3DPW: a list for each key) gives the
-first. The pickle is never run (files/unpickle.py). It is read whole: a sequence longer than memory belongs in an .npz.
+Their names are those of avatar/motion/smpl_fields.py. The pickle is never run (files/unpickle.py). It is read whole: a
+sequence longer than memory belongs in an .npz.
 """
 
 from pathlib import Path
@@ -26,40 +26,17 @@ def read_pickled_motion(path: Path | str, *, body: Body | None = None) -> Motion
         AssetError: damaged, or naming anything but data; else as `read_pose_fields`.
     """
     path = Path(path)
-    fields = _person(path, read_pickle(path, "a pose sequence"))
-    notes: list[str] = []
-    people = next((len(v) for k, v in fields.items() if k in WHOLE and type(v) is list and _arrays(v)), 0)
-    if people:
-        if people > 1:
-            notes.append(f"people: {people} in the file, the first is read")
-        fields = {k: v[0] if type(v) is list and len(v) == people else v for k, v in fields.items()}
+    content = read_pickle(path, "a pose sequence")
+    fields = {k: v for k, v in content.items() if isinstance(k, str)} if type(content) is dict else {}
+    if not fields.keys() & {*WHOLE, *BODY}:
+        found = sorted(str(key)[:40] for key in content)[:12] if fields else f"a {type(content).__name__}"
+        raise AssetError(f"{path}: no poses; expected one of {', '.join(WHOLE + BODY)}; found {found}")
 
     def member(name: str) -> HeldRows:
         return HeldRows(_array(path, fields, name))
 
     there = frozenset(name for name, value in fields.items() if value is not None)
-    return read_pose_fields(PoseFields(path, there, member, None), body, notes)
-
-
-def _person(path: Path, content: Value) -> dict[str, Value]:
-    """The dict of fields, directly or as the first of a list or dict of people."""
-    for _ in range(2):
-        if type(content) is dict and _is_sequence(content):
-            return {k: v for k, v in content.items() if isinstance(k, str)}
-        inner = list(content.values()) if type(content) is dict else content
-        if type(inner) is not list or not inner or type(inner[0]) is not dict:
-            break
-        content = inner[0]
-    found = sorted(str(key)[:40] for key in content)[:12] if type(content) is dict else f"a {type(content).__name__}"
-    raise AssetError(f"{path}: no poses; expected one of {', '.join(WHOLE + BODY)}; found {found}")
-
-
-def _is_sequence(fields: dict) -> bool:
-    return any(name in fields for name in WHOLE) or any(name in fields for name in BODY)
-
-
-def _arrays(value: list) -> bool:
-    return bool(value) and all(isinstance(v, Array) and v.ndim >= 2 for v in value)
+    return read_pose_fields(PoseFields(path, there, member, None), body, [])
 
 
 def _array(path: Path, fields: dict[str, Value], name: str) -> Array:

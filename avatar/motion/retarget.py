@@ -59,8 +59,7 @@ def retarget(
         notes.append("hands: no separate fingers in the file, flat")
     hips = [joints.places["left_hip"], joints.places["right_hip"]]
 
-    sample = spread_frames(rig.frames, SAMPLED_FRAMES)
-    G, at = rig.transforms(np.concatenate([rig.values(int(k), int(k) + 1) for k in sample]))
+    G, at = rig.transforms(spread_frames(rig.frames, SAMPLED_FRAMES))
     upright = (at[:, joints.head] - at[:, hips].mean(1)).mean(0)
     if not (at[0, hips[0]] != at[0, hips[1]]).any() or not upright.any():
         raise AssetError(f"{rig.path}: hips or hips and head rest at the same place")
@@ -76,7 +75,7 @@ def retarget(
     offset = (ours[J["left_hip"]] + ours[J["right_hip"]]) / 2
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
-        G, at = rig.transforms(rig.values(start, stop))
+        G, at = rig.transforms(np.arange(start, stop))
         R = W @ _rotations(joints, alignment, G)
         local = R.copy()
         local[:, 1:] = np.swapaxes(R[:, PARENTS[1:]], -1, -2) @ R[:, 1:]
@@ -150,7 +149,7 @@ def _note_calibration(rig: AnimatedRig, joints: JointMap, notes: list[str]) -> N
     """Say so when frame 0 is a rest pose followed by a jump, as in CMU's files; it is kept."""
     if rig.frames < 2:
         return
-    G, _ = rig.transforms(rig.values(0, 2))
+    G, _ = rig.transforms(np.arange(2))
     used = sorted(set(joints.turns.values()))
     jump = axis_angle_from_matrix(np.swapaxes(G[0, used], -1, -2) @ G[1, used])
     largest = float(np.degrees(np.linalg.norm(jump, axis=-1)).max())

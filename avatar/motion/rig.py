@@ -3,10 +3,9 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from command.errors import AssetError
 
@@ -33,33 +32,37 @@ FINGER_NAMES = {
 REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow")
 
 
-@runtime_checkable
-class AnimatedRig(Protocol):
-    """An animated skeleton in its own units and axes: a BVH file (avatar/motion/bvh.py),
-    a glTF animation (avatar/motion/gltf.py).
+@dataclass(frozen=True, kw_only=True)
+class AnimatedRig:
+    """An animated skeleton in its own units and axes: a BVH file (avatar/motion/bvh.py), a glTF animation
+    (avatar/motion/gltf.py), MHR (avatar/motion/mhr_rig.py).
     """
 
-    @property
-    def path(self) -> Path: ...
-    @property
-    def names(self) -> tuple[str, ...]: ...
-    @property
+    path: Path
+    names: tuple[str, ...]
     # -1 for a root; parents come first
-    def parents(self) -> tuple[int, ...]: ...
+    parents: tuple[int, ...]
+    # where joints without a child end: joint, offset from it
+    ends: tuple[tuple[int, tuple[float, float, float]], ...] = ()
+    frames: int
+    rate: float  # frames per second
+
     @property
-    # the ends of joints without a child
-    def ends(self) -> tuple[tuple[int, tuple[float, float, float]], ...]: ...
-    @property
-    def frames(self) -> int: ...
-    @property
-    def rate(self) -> float | int: ...
-    def values(self, start: int, stop: int) -> Float[np.ndarray, "frames channels"]: ...
-    # turn of each joint away from its rest pose, and its place, in the file's world
+    def rest_positions(self) -> Float[np.ndarray, "joints 3"]:
+        """Places of the joints at rest, in the file's units."""
+        raise NotImplementedError
+
     def transforms(
-        self, values: Float[np.ndarray, "frames channels"]
-    ) -> tuple[Float[np.ndarray, "frames joints 3 3"], Float[np.ndarray, "frames joints 3"]]: ...
-    @property
-    def rest_positions(self) -> Float[np.ndarray, "joints 3"]: ...
+        self, frames: Int[np.ndarray, "frames"]
+    ) -> tuple[Float[np.ndarray, "frames joints 3 3"], Float[np.ndarray, "frames joints 3"]]:
+        """Turn of each joint away from its rest pose, and its place, in the file's world."""
+        raise NotImplementedError
+
+
+def runs(frames: Int[np.ndarray, "frames"]) -> list[tuple[int, int]]:
+    """Neighbouring frames together, the first and the one past the last of each run."""
+    together = np.split(frames, np.flatnonzero(np.diff(frames) != 1) + 1)
+    return [(int(run[0]), int(run[-1]) + 1) if len(run) else (0, 0) for run in together]
 
 
 @dataclass(frozen=True)

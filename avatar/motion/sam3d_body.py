@@ -5,8 +5,8 @@
     pred_cam_t (3,)             what is added to the joints to place them before the camera
 
 So joints and rotations are given in different axes: the joints are turned half round about x, which is also what
-makes our world (y up) of the camera's. Files whose rotations were turned already are recognised by their bones. Which
-way the camera leaned is not known: its up is taken for the world's. A photo has no frame rate.
+makes our world (y up) of the camera's. Which way the camera leaned is not known: its up is taken for the world's. A
+photo has no frame rate.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,6 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, spread_frames
@@ -26,11 +25,8 @@ from command.progress import plural
 from files.npz import NpzFile, NpzMember
 
 WHAT = "a result of SAM 3D Body"
-# the names that people save the fields under
-JOINTS_KEYS = ("pred_joint_coords", "joint_coords")
-TURNS_KEYS = ("pred_global_rots", "joint_global_rots", "joint_rots")
-CAMERA_KEYS = ("pred_cam_t", "cam_t")
-SHAPES = {JOINTS_KEYS: (MHR_JOINTS, 3), TURNS_KEYS: (MHR_JOINTS, 3, 3), CAMERA_KEYS: (3,)}
+JOINTS, TURNS, CAMERA = "pred_joint_coords", "pred_global_rots", "pred_cam_t"
+SHAPES = {JOINTS: (MHR_JOINTS, 3), TURNS: (MHR_JOINTS, 3, 3), CAMERA: (3,)}
 LARGEST = 1e6  # metres
 # the largest difference of R^T R from the identity
 NOT_A_ROTATION = 0.01
@@ -50,7 +46,7 @@ Rows = Callable[[int, int], tuple[Array, Array, Array]]
 def is_sam3d_body(path: Path | str) -> bool:
     """Whether an .npz holds joints and rotations of a SAM 3D Body result, going by the names of its arrays."""
     with closing(NpzFile(path, WHAT)) as npz:
-        return any(k in npz.names for k in JOINTS_KEYS) and any(k in npz.names for k in TURNS_KEYS)
+        return {JOINTS, TURNS} <= npz.names
 
 
 def read_sam3d_body(path: Path | str, skeleton: RestSkeleton | None = None) -> Motion:
@@ -65,11 +61,11 @@ def read_sam3d_body(path: Path | str, skeleton: RestSkeleton | None = None) -> M
     frames, rows, placed = _opened(path, notes)
     skeleton = builtin_skeleton() if skeleton is None else skeleton
     seen = [rows(int(k), int(k) + 1) for k in spread_frames(frames, SAMPLED_FRAMES)]
-    turn = _turned(path, np.concatenate([s[1] for s in seen]), np.concatenate([s[0] for s in seen]), notes)
+    _check_bones(path, np.concatenate([s[1] for s in seen]), np.concatenate([s[0] for s in seen]), notes)
 
     def read(start: int, stop: int) -> tuple[Array, Array]:
         joints, R, camera = rows(start, stop)
-        return turn[:, None] * R, (joints + camera[:, None]) * FLIP
+        return R, (joints + camera[:, None]) * FLIP
 
     notes.append("up: the camera's, which is taken to be level")
     if placed:
@@ -78,7 +74,7 @@ def read_sam3d_body(path: Path | str, skeleton: RestSkeleton | None = None) -> M
         notes.append("no pred_cam_t: the body stays where its joints are counted from")
     if frames > 1:
         notes.append(f"no frame rate in the files: {ASSUMED_RATE:g} frames per second assumed")
-    rig = MhrRig(path, frames, ASSUMED_RATE, read, skeleton.joints.astype(np.float64))
+    rig = MhrRig(path=path, frames=frames, rate=ASSUMED_RATE, read=read, joints=skeleton.joints.astype(np.float64))
     return retarget(rig, skeleton, up_known=True, assumed=tuple(notes), alignment=rig.alignment)
 
 
@@ -88,7 +84,7 @@ def _opened(path: Path, notes: list[str]) -> tuple[int, Rows, bool]:
         files = frame_files(path, ".npz", "results of SAM 3D Body")
         notes.append(f"frames: {plural(len(files), 'file')} in the order of names, {files[0].name} to {files[-1].name}")
         with closing(NpzFile(files[0], WHAT)) as npz:
-            placed = _key(npz, CAMERA_KEYS) is not None
+            placed = CAMERA in npz.names
 
         def one(file: Path) -> tuple[Array, Array, Array]:
             with closing(NpzFile(file, WHAT)) as npz:
@@ -107,25 +103,18 @@ def _opened(path: Path, notes: list[str]) -> tuple[int, Rows, bool]:
         return len(files), stretch, placed
     npz = NpzFile(path, WHAT)
     frames, rows = _fields(npz, "")
-    return frames, rows, _key(npz, CAMERA_KEYS) is not None
-
-
-def _key(npz: NpzFile, names: tuple[str, ...]) -> str | None:
-    return next((name for name in names if name in npz.names), None)
+    return frames, rows, CAMERA in npz.names
 
 
 def _fields(npz: NpzFile, place: str) -> tuple[int, Rows]:
     """Frames of one file and what reads them: joints, rotations, places before the camera."""
     path, frames = npz.path, -1
     fields: list[tuple[NpzMember, tuple[int, ...]]] = []
-    for names, tail in SHAPES.items():
-        key = _key(npz, names)
-        if key is None and names == CAMERA_KEYS:
+    for key, tail in SHAPES.items():
+        if key not in npz.names and key == CAMERA:
             continue
-        if key is None:
-            raise AssetError(
-                f"{path}: no {names[0]}; expected {WHAT}, the file has {', '.join(sorted(npz.names)[:12])}"
-            )
+        if key not in npz.names:
+            raise AssetError(f"{path}: no {key}; expected {WHAT}, the file has {', '.join(sorted(npz.names)[:12])}")
         member = npz.member(key)
         stacked = member.shape[1:] == tail
         if (not stacked and member.shape != tail) or member.dtype.kind not in "fiu":
@@ -156,13 +145,13 @@ def _fields(npz: NpzFile, place: str) -> tuple[int, Rows]:
 
     def rows(start: int, stop: int) -> tuple[Array, Array, Array]:
         joints, R, *camera = (values(*field, start, stop) for field in fields)
-        _check(path, joints, R, start, [member.name for member, _ in fields])
+        _check(path, joints, R, start)
         return joints, R, camera[0] if camera else np.zeros((stop - start, 3))
 
     return frames, rows
 
 
-def _check(path: Path, joints: Array, R: Array, start: int, names: list[str]) -> None:
+def _check(path: Path, joints: Array, R: Array, start: int) -> None:
     """Refuse what is no rotation, and joints that fall together."""
     used = sorted({k for pair in NUMBERS.values() for k in pair})
     error = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max((-1, -2))
@@ -170,7 +159,7 @@ def _check(path: Path, joints: Array, R: Array, start: int, names: list[str]) ->
     if (error > NOT_A_ROTATION).any():
         frame, k = (int(v) for v in np.argwhere(error > NOT_A_ROTATION)[0])
         raise AssetError(
-            f"{path}: {names[1]} should be rotations, joint {used[k]} of frame {start + frame} is none "
+            f"{path}: {TURNS} should be rotations, joint {used[k]} of frame {start + frame} is none "
             f"({R[frame, used[k]].round(3).tolist()})"
         )
     places = {name: joints[:, place] for name, (_, place) in NUMBERS.items()}
@@ -181,29 +170,22 @@ def _check(path: Path, joints: Array, R: Array, start: int, names: list[str]) ->
         length = np.linalg.norm(places[b] - places[a], axis=-1)
         if (length < SHORTEST).any():
             frame = start + int(np.argmax(length < SHORTEST))
-            raise AssetError(f"{path}: {names[0]}: {a} and {b} of frame {frame} are at one place")
+            raise AssetError(f"{path}: {JOINTS}: {a} and {b} of frame {frame} are at one place")
 
 
-def _turned(path: Path, R: Array, joints: Array, notes: list[str]) -> Float[Array, "3"]:
-    """The signs of the axes that make the rotations those of our world; notes hands that are older than their joints.
+def _check_bones(path: Path, R: Array, joints: Array, notes: list[str]) -> None:
+    """Notes hands that are older than their joints.
 
     Raises:
-        AssetError: neither the rotations as they are stored nor turned with the joints lie along arms and legs.
+        AssetError: the rotations do not lie along arms and legs.
     """
-    upright = joints * FLIP
-    choices = {1: np.ones(3), -1: FLIP}
-    off = {
-        key: np.degrees(np.median(off_bones(signs[:, None] * R, upright, fingers=False)))
-        for key, signs in choices.items()
-    }
-    best = min(off, key=lambda key: off[key])
-    if off[best] > MOST_OFF:
+    off = np.degrees(np.median(off_bones(R, joints * FLIP, fingers=False)))
+    if off > MOST_OFF:
         raise AssetError(
-            f"{path}: joints and rotations should be of one body, the bones of arms and legs lie {off[best]:.0f} "
+            f"{path}: joints and rotations should be of one body, the bones of arms and legs lie {off:.0f} "
             f"degrees (median) off the axes that should run along them (at most {MOST_OFF:g})"
         )
-    signs = choices[best]
-    fingers = np.degrees(off_bones(signs[:, None] * R, upright, fingers=True)).reshape(len(R), 2, -1).mean((0, 2))
+    fingers = np.degrees(off_bones(R, joints * FLIP, fingers=True)).reshape(len(R), 2, -1).mean((0, 2))
     older = [
         f"{side} ({angle:.0f} degrees)"
         for side, angle in zip(("left", "right"), fingers, strict=True)
@@ -211,4 +193,3 @@ def _turned(path: Path, R: Array, joints: Array, notes: list[str]) -> Float[Arra
     ]
     if older:
         notes.append(f"hands: rotations are off the joints, which are kept: {', '.join(older)}")
-    return signs

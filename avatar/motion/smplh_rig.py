@@ -76,7 +76,7 @@ def read_exactly(rig: AnimatedRig, notes: list[str], unit: float = 1.0, pelvis_h
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
         """Poses and roots of frames start .. stop - 1, as `Motion.block` gives them."""
-        G, at = rig.transforms(rig.values(start, stop))
+        G, at = rig.transforms(np.arange(start, stop))
         pose = np.zeros((stop - start, 52, 3))
         for joint, k in enumerate(own):
             if k >= 0:

@@ -9,8 +9,7 @@ from avatar.gltf.avatar_file import read_avatar
 from bench.inspect import accuracy_sections as accuracy
 from bench.inspect import drawn_sections as drawn
 from bench.inspect import surface_sections as surface
-from bench.inspect.face_section import face
-from bench.inspect.inspection import Inspector, KnownDistances
+from bench.inspect.inspection import Inspector
 from bench.inspect.options import InspectCommand
 from bench.inspect.page import SECTIONS, PageSection, page
 from command.errors import missing_package
@@ -23,30 +22,26 @@ def inspect(options: InspectCommand) -> Inspector:
     """Write the folder; whole or not at all.
 
     Raises:
-        AssetError: avatar, run or capture cannot be read, or the folder holds other files.
+        AssetError: avatar or run cannot be read, or the folder holds other files.
     """
-    path, run, capture, avatar = options.avatar, options.run, options.capture, read_avatar(options.avatar)
+    path, run, avatar = options.avatar, options.run, read_avatar(options.avatar)
     try:
         field = None if run is None else accuracy.from_run(avatar.levels[0], run)
     except ModuleNotFoundError as error:
         raise missing_package(error.name, "inspect,train", "--run") from None
-    truth = None if capture is None else accuracy.from_truth(avatar, avatar.levels[0], capture)
     with ExitStack() as stack:
         folder = stack.enter_context(whole_folder(options.output))
         context = open_context(options.context, None)
         stack.callback(context.release)  # again does nothing
-        inspector = Inspector(avatar, path, context, KnownDistances(field, truth), options.size // 2 * 2)
+        inspector = Inspector(avatar, path, context, field, options.size // 2 * 2)
         stack.callback(inspector.release)
         topics: list[Callable[[], list[PageSection] | PageSection | None]] = [
-            *(partial(topic, inspector) for topic in (drawn.looks, drawn.posed, drawn.levels)),
-            lambda: drawn.turntable(inspector, options.turns),
-            lambda: face(inspector, capture),
+            *(partial(topic, inspector) for topic in (drawn.looks, drawn.face, drawn.posed, drawn.levels)),
             # VTK makes contexts of its own: ours draws before, and is gone then
             context.release,
-            lambda: surface.weights(inspector, options.joint),
             *(partial(topic, inspector) for topic in (
-                surface.parts, surface.texels, surface.seams, surface.cones, surface.triangles,
-                accuracy.field_distance, accuracy.truth_distance, accuracy.provenance,
+                surface.weights, surface.parts, surface.texels, surface.seams, surface.cones, surface.triangles,
+                accuracy.field_distance, accuracy.provenance,
             )),
         ]  # fmt: skip
         found: dict[str, PageSection] = {}
@@ -55,9 +50,9 @@ def inspect(options: InspectCommand) -> Inspector:
             found |= {s.key: s for s in (made if isinstance(made, list) else [made]) if s is not None}
         inspector.sections += [found[key] for key in SECTIONS if key in found]
         for picture in (picture for section in inspector.sections for picture in section.pictures):
-            (folder / f"{picture.name}.{picture.kind}").write_bytes(picture.data)
+            (folder / f"{picture.name}.png").write_bytes(picture.data)
         lines = [f"{path.name}, {plural(len(avatar.levels), 'level')}, view dependence: {avatar.default_view}"]
-        lines += [f"{what}: {place.name}" for what, place in (("run", run), ("capture", capture)) if place is not None]
+        lines += [] if run is None else [f"run: {run.name}"]
         (folder / "inspect.html").write_text(page(avatar.name, lines, inspector.checks, inspector.sections), "utf-8")
         facts = inspector.facts | {"checks": [vars(check) for check in inspector.checks]}
         (folder / "inspect.json").write_text(json.dumps(facts, indent=1, allow_nan=False), "utf-8")

@@ -1,4 +1,4 @@
-"""Sections that our own renderer draws: the avatar as it looks, standing, in strained poses, on a turntable."""
+"""Sections that our own renderer draws: the avatar as it looks, standing, in strained poses."""
 
 from collections.abc import Sequence
 
@@ -10,14 +10,16 @@ from avatar.motion.clip import Clip
 from avatar.psnr import decibels
 from avatar.skeleton import JOINTS
 from bench.inspect.inspection import Inspector
-from bench.inspect.page import PagePicture, PageSection, animation, picture
-from bench.inspect.views import InspectView, strip
-from player.scene.framing import extent, facing, fitted_camera, orbit
+from bench.inspect.page import PageSection, picture
+from bench.inspect.views import InspectView, face_views, strip
+from player.scene.framing import extent, facing, fitted_camera
 from player.scene.motions import motion_for
 from player.scene.renderer import Pose, Renderer
 
 BACKGROUND = (0.965, 0.965, 0.957, 1.0)
 J = {name: index for index, name in enumerate(JOINTS)}
+# pixels of a side
+FACE = 512
 # times that view dependence is shown
 CHANGE = 8
 
@@ -35,6 +37,12 @@ def looks(inspector: Inspector) -> PageSection:
     return PageSection("look", pictures)
 
 
+def face(inspector: Inspector) -> PageSection:
+    """Three views of the face, filling the picture, as a person would look at it."""
+    image = np.hstack(standing(inspector, face_views(inspector.avatar, FACE), "off"))
+    return PageSection("face", [picture("face", image, "the face, in the paper's colors")])
+
+
 def posed(inspector: Inspector) -> PageSection:
     """Poses that strain the skin, a little from the side."""
     avatar, side = inspector.avatar, max(inspector.size * 3 // 4, 64)
@@ -47,21 +55,6 @@ def posed(inspector: Inspector) -> PageSection:
         pictures.append(picture(f"pose_{name.replace(' ', '_')}", image, name, width=380))
     renderer.release()
     return PageSection("poses", pictures)
-
-
-def turntable(inspector: Inspector, frames: int) -> PageSection:
-    """Once round the avatar at ease, as its file asks to be drawn."""
-    avatar, size = inspector.avatar, (inspector.size * 3 // 4 // 2 * 2, inspector.size)
-    clip, mode = motion_for(avatar, "counting").read(0, 1), avatar.default_view
-    camera_at = orbit(extent(avatar, clip, following=True), 0.0, size)
-    renderer = Renderer(inspector.context, [avatar], size, view=mode, background=BACKGROUND)
-    images = []
-    for frame in range(frames):
-        camera = camera_at(frame / frames, clip.root[0])
-        images.append(renderer.draw([(clip.axis_angle[0], clip.root[0])], camera)[..., :3])
-    renderer.release()
-    shown = PagePicture("turntable", animation(images, 6.0), "webp", f"{frames} views, 6 seconds")
-    return PageSection("turntable", [shown], more=f"View dependence: {mode}.")
 
 
 def levels(inspector: Inspector) -> PageSection:

@@ -6,7 +6,6 @@ was reached through EGL, VTK has to take EGL at once, and where through OSMesa, 
 
 import os
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,14 +25,6 @@ BACKGROUND = (246, 246, 244)
 GREY = (196, 196, 192)
 # metres that lines stand off the surface, so as not to sink into it
 LIFT = 0.0004
-
-
-@dataclass
-class KnownDistances:
-    """Distances to what only a run or a capture knows; None where they were not given."""
-
-    field: Float[Array, "faces"] | None  # millimetres, signed, per triangle
-    truth: Float[Array, "vertices"] | None  # millimetres, per vertex
 
 
 class ColoredLines(NamedTuple):
@@ -101,10 +92,13 @@ class MeshPlotter:
 
 class Inspector:
     """One avatar, drawn topic by topic, and what is found: the page shows checks and sections, the JSON holds facts and
-    checks. `size` is the side of the large views in pixels."""
+    checks. `from_field`: signed millimetres of each triangle to the run's field, where a run was given. `size`
+    is the side of the large views in pixels."""
 
-    def __init__(self, avatar: Avatar, path: Path, context: Context, measured: KnownDistances, size: int):
-        self.avatar, self.path, self.context, self.measured = avatar, path, context, measured
+    def __init__(
+        self, avatar: Avatar, path: Path, context: Context, from_field: Float[Array, "faces"] | None, size: int
+    ):
+        self.avatar, self.path, self.context, self.from_field = avatar, path, context, from_field
         self.level, self.size = avatar.levels[0], size
         self.views = standard_views(avatar, size)
         self.studio: MeshPlotter | None = None

@@ -1,46 +1,32 @@
 """`selfscan inspect`: what it is asked for, and its command line; the work is in bench/inspect/command.py."""
 
-import argparse
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from avatar.skeleton import JOINTS
 from command.command_line import Help, Option, parse
 from command.errors import missing_package
 from command.settings import AtLeast, AtMost, OneOf
 from files.whole import check_folder
 
-EXAMPLES = f"""DIR gets inspect.html, one page with everything in it (mail it, open it anywhere), the same
+EXAMPLES = """DIR gets inspect.html, one page with everything in it (mail it, open it anywhere), the same
 pictures as files, and inspect.json with the numbers. It needs no display. What the page shows, and what to look for:
 
-  as drawn       six standard views, the paper's colors and with view dependence; strained poses; turntable
-  face           at 512 px; --capture: beside true pictures, with the error of the eye region
-  parts          body, head and hands            weights      who moves what; --joint NAME: one joint alone
+  as drawn       six standard views, the paper's colors and with view dependence; strained poses
+  face           at 512 px, from three sides
+  parts          body, head and hands            weights      who moves what
   texels         their size on the surface       seams        chart edges by the step of color across them
   cones          how far color may follow the eye, and what no camera ever saw
   triangles      their size, holes               levels       levels of detail side by side
-  field          --run: mesh to field, mm        truth        --capture: mesh to the true surface, mm (P2S)
+  field          --run: mesh to field, mm
   accuracy       what baking measured            provenance   where it comes from
 
 A table on top says which numbers are as they should be. The command judges nothing by its exit code.
 
 examples
   selfscan inspect me.glb -o out/inspect
-  selfscan inspect me.glb -o out/inspect --run out/run --capture out/capture --joint left_elbow --joint spine3
-
-joints: {", ".join(JOINTS[:22])},
-  and left_ right_ with index middle pinky ring thumb 1 2 3"""
-
-
-def parse_joint(text: str) -> str:
-    """The name of one of the 52 joints."""
-    if text not in JOINTS:
-        raise argparse.ArgumentTypeError(
-            f"no joint is named {text!r}; they are {', '.join(JOINTS[:22])} and the fingers'"
-        )
-    return text
+  selfscan inspect me.glb -o out/inspect --run out/run"""
 
 
 @dataclass(frozen=True)
@@ -51,12 +37,7 @@ class InspectCommand:
     output: Annotated[Path, Option(("-o", "--output"), "DIR"), "folder to write"]
     run: Annotated[Path | None, Option(metavar="RUN"),
         "run folder it was baked from: distance of mesh and field"] = None
-    capture: Annotated[Path | None, Option(metavar="CAPTURE"),
-        "capture with truth/: distance to the true surface"] = None
-    joint: Annotated[tuple[str, ...], Option(metavar="NAME", parse=parse_joint, repeated=True),
-        "show this joint's weight alone; again for more"] = ()
     size: Annotated[int, AtLeast(64), AtMost(2048), "side of the large views, pixels"] = 520
-    turns: Annotated[int, AtLeast(2), AtMost(720), "views of the turntable"] = 36
     context: Annotated[str, OneOf(("auto", "egl", "osmesa")), "how to reach OpenGL"] = "auto"
 
 

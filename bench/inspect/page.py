@@ -1,7 +1,6 @@
 """One HTML page with everything in it: pictures, legends, tables; no script, no other file."""
 
 import base64
-import io
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, field
 from html import escape
@@ -9,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
 
 from bench.inspect.colors import Legend
 from files.picture import encode_png
@@ -41,12 +39,11 @@ th { font-weight: 600 } .good td:last-child { color: var(--good) }
 
 @dataclass
 class PagePicture:
-    """One picture of the page; `data` is an encoded PNG or WebP."""
+    """One picture of the page; `data` is an encoded PNG."""
 
     # file name in the folder, without suffix
     name: str
     data: bytes
-    kind: str  # "png" or "webp"
     caption: str
     # pixels on the page, its own where not given
     width: int | None = None
@@ -60,7 +57,6 @@ SECTIONS = {
              "that are no stripes, a hairline, a collar that is a line."),
     "poses": ("Posed", "Linear blend skinning in poses that strain it. Look for collapsed elbows and knees, armpits "
               "that pull the chest along, fingers that drag each other."),
-    "turntable": ("Turntable", "The avatar at ease, as its file asks to be drawn."),
     "parts": ("Parts", "The part whose joints move a vertex most, with its share of the surface."),
     "weights": ("Skin weights", "Soft borders run round a limb, never along it; left and right, and neighbouring "
                 "fingers, do not exchange colors."),
@@ -77,9 +73,6 @@ SECTIONS = {
                   "changes of size come out as lines in the light."),
     "field": ("Distance to the field", "Of each triangle's centre and corners the one farthest from the field's "
               "surface. Red stands outside of it, blue inside."),
-    "truth": ("Distance to the truth", "Each vertex to the nearest point of the subject's own visible surface, both in "
-              "T-pose. All of the mesh counts here, hidden folds too; `selfscan eval` scores what can be seen, over "
-              "the test poses."),
     "levels": ("Levels of detail", "The same views of each level, in the paper's colors, the background counted."),
     "accuracy": ("Measured while baking", "As written into the file; paths are those of its JSON."),
     "provenance": ("Provenance", "Where the avatar comes from."),
@@ -121,17 +114,7 @@ def picture(
     name: str, image: UInt8[np.ndarray, "height width 3"], caption: str, width: int | None = None
 ) -> PagePicture:
     """A picture of the page as PNG."""
-    return PagePicture(name, encode_png(np.ascontiguousarray(image)), "png", caption, width)
-
-
-def animation(frames: list[UInt8[np.ndarray, "height width 3"]], seconds: float) -> bytes:
-    """An animated WebP that repeats."""
-    images, out = [Image.fromarray(np.ascontiguousarray(frame)) for frame in frames], io.BytesIO()
-    images[0].save(
-        out, "WEBP", save_all=True, append_images=images[1:], duration=round(1000 * seconds / len(images)), loop=0,
-        quality=82, method=3,
-    )  # fmt: skip
-    return out.getvalue()
+    return PagePicture(name, encode_png(np.ascontiguousarray(image)), caption, width)
 
 
 def page(name: str, lines: list[str], checks: list[Check], sections: list[PageSection]) -> str:
@@ -158,7 +141,7 @@ def page(name: str, lines: list[str], checks: list[Check], sections: list[PageSe
 
 
 def _figure(picture: PagePicture) -> str:
-    source = f"data:image/{picture.kind};base64,{base64.b64encode(picture.data).decode()}"
+    source = f"data:image/png;base64,{base64.b64encode(picture.data).decode()}"
     width = f' style="width:{picture.width}px"' if picture.width else ""
     caption = escape(picture.caption)
     return f'<figure><img src="{source}" alt="{caption}"{width}><figcaption>{caption}</figcaption></figure>'

@@ -1,7 +1,5 @@
 """Sections on the surface that the file holds: parts, weights, texels, seams, cones, triangles."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from PIL import Image, ImageDraw
 
@@ -33,14 +31,11 @@ def parts(inspector: Inspector) -> PageSection:
     return PageSection("parts", [picture("parts", image, "parts")], Legend(named=named))
 
 
-def weights(inspector: Inspector, joints: Sequence[str]) -> PageSection:
-    """Skin weights: the heaviest joint, and single joints."""
+def weights(inspector: Inspector) -> PageSection:
+    """Skin weights."""
     skin, palette = inspector.level.skin, categorical(52)
     dense = dense_weights(skin)
     pictures = [picture("weights", inspector.draw(dense @ rgb(palette)), "joints' colors blended by weight")]
-    for name in joints:
-        image = inspector.draw(SHARES.colors(dense[:, JOINTS.index(name)]))
-        pictures.append(picture(f"weight_{name}", image, f"{name}: weight 0 (dark) to 1 (bright)"))
     used = np.unique(skin.heaviest)
     absent = [JOINTS[k] for k in range(52) if k not in used]
     inspector.facts["joints_that_move_nothing_most"] = absent

@@ -1,4 +1,4 @@
-"""Pictures of the rungs of accuracy against time: a few poses under their cameras, and a clip to see flicker in."""
+"""Pictures of the rungs of accuracy against time: a few poses under their cameras."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,22 +9,20 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar
-from avatar.camera import Camera, orbit_camera
-from avatar.motion.clip import Clip, fitted
-from avatar.motion.read import builtin_motion
-from avatar.skeleton import skin_transforms
-from avatar.skinning import skin_points
+from avatar.camera import Camera
 from bench.report.contact import spread_poses
 from capture.held_out import HeldOutView, read_held_out
 from command.errors import AssetError
 from player.budget.rung import Rung, shown
 from player.gl.context import Context
+from player.scene.framing import extent, fitted_camera
+from player.scene.motions import motion_for
 from player.scene.renderer import Pose
 
 FRAMES = 4
 SIZE = (640, 640)
-# the clip in which flicker is seen lasts so long, at so many frames a second
-FLICKER_SECONDS, FLICKER_RATE = 2.0, 10.0
+# radians: from a little to the side
+SIDE = 0.25
 
 
 @dataclass(frozen=True)
@@ -46,33 +44,10 @@ def held_out_frames(capture: Path, count: int = FRAMES) -> list[ComparedFrame]:
 
 def motion_frames(avatar: Avatar, count: int = FRAMES, size: tuple[int, int] = SIZE) -> list[ComparedFrame]:
     """Frames of the built-in counting clip from the front."""
-    clip, target, height = counting(avatar)
-    chosen = np.linspace(0.15, 0.85, count) * (len(clip.root) - 1)
-    return [_seen(clip, i, target + clip.root[i], height, size) for i in chosen.round().astype(int).tolist()]
-
-
-def flicker_frames(avatar: Avatar, size: tuple[int, int] = SIZE) -> list[ComparedFrame]:
-    """Two seconds of the counting clip, one frame after the other, under a camera that stands still."""
-    clip, target, height = counting(avatar)
-    step = max(1, round(clip.rate / FLICKER_RATE))
-    first = len(clip.root) // 3
-    last = min(len(clip.root), first + round(FLICKER_SECONDS * clip.rate))
-    return [_seen(clip, i, target + clip.root[first], height, size) for i in range(first, last, step)]
-
-
-def counting(avatar: Avatar) -> tuple[Clip, Float[Array, "3"], float]:
-    """The built-in counting clip on this avatar; the middle of its height above the pelvis' place; its height."""
-    level = avatar.levels[0]
-    rest = skin_transforms(np.zeros((52, 3)), avatar.joint_positions, rest=avatar.canonical_pose)
-    standing = skin_points(level.positions, level.skin, rest)
-    height = float(np.ptp(standing[:, 1]))
-    clip = fitted(builtin_motion("counting"), -float(standing[:, 1].min())).read()
-    return clip, np.array([0.0, 0.5 * height + float(standing[:, 1].min()), 0.0]), height
-
-
-def _seen(clip: Clip, frame: int, target: Float[Array, "3"], height: float, size: tuple[int, int]) -> ComparedFrame:
-    pose = clip.axis_angle[frame].astype(np.float64), clip.root[frame].astype(np.float64)
-    return ComparedFrame(pose, orbit_camera(target, 1.9 * height, 0.25, 0.05, size), None)
+    clip = motion_for(avatar, "counting").read()
+    chosen = (np.linspace(0.15, 0.85, count) * (len(clip.root) - 1)).round().astype(int)
+    camera = fitted_camera(extent(avatar, clip), SIDE, size)
+    return [ComparedFrame((clip.axis_angle[i], clip.root[i]), camera, None) for i in chosen.tolist()]
 
 
 def rung_pictures(

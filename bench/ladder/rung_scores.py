@@ -90,22 +90,6 @@ def part_scores(references: list, drawn: list, boxes: list[dict[str, tuple[slice
     return out
 
 
-def flicker(
-    references: list[Float[np.ndarray, "height width 3"]],
-    drawn: list[Float[np.ndarray, "height width 3"]],
-    masks: list[Bool[np.ndarray, "height width"]],
-) -> float:
-    """How much a picture in motion changes otherwise than the reference: mean |change - reference's change| from frame
-    to frame where either shows the person, of 255."""
-    total, count = 0.0, 0
-    for k in range(1, len(references)):
-        change = (drawn[k] - drawn[k - 1]) - (references[k] - references[k - 1])
-        where = masks[k] | masks[k - 1]
-        total += float(np.abs(change[where]).sum())
-        count += 3 * int(where.sum())
-    return round(255 * total / max(count, 1), 4)
-
-
 def row_of(name: str, ms: Float[np.ndarray, "n"], size: int) -> Json:
     """Name, time and memory of a rung, as bench.json holds them; `ms` are single frames, `size` is bytes."""
     median, tail = round(float(np.median(ms)), 3), round(float(np.percentile(ms, 95)), 3)

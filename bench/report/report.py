@@ -16,18 +16,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from avatar.gltf.avatar_file import Avatar, read_avatar
+from avatar.gltf.avatar_file import read_avatar
 from bench.bench_command import BenchCommand
 from bench.ladder.machine import Quiet
 from bench.ladder.rung_pictures import (
     SIZE,
     ComparedFrame,
-    flicker_frames,
     held_out_frames,
     motion_frames,
     rung_pictures,
 )
-from bench.ladder.rung_scores import crop_of, flicker, mark_dominated, part_boxes, person_scores, row_of
+from bench.ladder.rung_scores import crop_of, mark_dominated, part_boxes, person_scores, row_of
 from bench.report.contact import save_sheet
 from bench.report.frontier.page import PagePictures, frontier_page
 from bench.report.rung_page import markdown, plot, rung_sheet
@@ -56,7 +55,6 @@ def bench(command: BenchCommand) -> Json:
             MeasuredRung(timed_row(rung, timing, timings[0]), timing.ms, rung_pictures(context, avatar, rung, frames))
             for rung, timing in zip(rungs, timings, strict=True)
         ]
-        score_flicker(context, avatar, rungs, [one.row for one in measured], full)
         if run is not None:
             measured = with_field(context, run, frames, measured)
         truths = [f.truth.image() for f in frames if f.truth is not None]
@@ -131,15 +129,3 @@ def with_field(
 def timed_row(rung: Rung, timing: Timing, best: Timing) -> Json:
     faster = round(float(np.median(best.ms / timing.ms)), 3)
     return row_of(rung.name, timing.ms, timing.bytes) | {"start_ms": round(timing.start_ms, 1), "times_faster": faster}
-
-
-def score_flicker(
-    context: Context, avatar: Avatar, rungs: Sequence[Rung], rows: Sequence[Json], size: tuple[int, int]
-) -> None:
-    """Add to each row how much its clip flickers beside that of the first rung."""
-    frames = flicker_frames(avatar, size)
-    references = rung_pictures(context, avatar, rungs[0], frames)
-    masks: list[Bool[Array, "height width"]] = [picture.max(-1) > 0 for picture in references]
-    for rung, row in zip(rungs, rows, strict=True):
-        drawn = references if rung is rungs[0] else rung_pictures(context, avatar, rung, frames)
-        row["flicker"] = flicker(references, drawn, masks)

@@ -45,7 +45,6 @@ RUNG_COLUMNS = (
     Column("FLIP", ("flip",), 4, better="lower"),
     Column("head", ("parts", "head", "flip"), 4, better="lower"),
     Column("hands", ("parts", "hands", "flip"), 4, better="lower"),
-    Column("flicker", ("flicker",), 2, better="lower"),
     *(Column(m.title, (m.key,), m.digits, better=m.better) for m in RUNG_METRICS if m.key != "flip"),
     Column("start ms", ("start_ms",), 0),
     Column("MB", ("bytes",), 1, 1e-6),
@@ -73,9 +72,8 @@ def markdown(result: Json) -> str:
         f"{m['cpu']}, {m['cores']} cores, {m['renderer']} ({m['context']}); {width} x {height} px, "
         f"{result['frames']} frames, {result['rounds']} alternating rounds, load {number(m['load_average'], 1)}. "
         f"FLIP (0 is equal), SSIM and PSNR against `{result['best_rung']}` over the person's rectangle (box dB), PSNR "
-        f"over the person alone beside it (mask dB); *flicker*: change from frame to frame, of 255, that "
-        f"`{result['best_baked_rung']}` does not have; "
-        "*start*: until the first frame; *faster*: than that rung, median of the rounds' ratios; "
+        "over the person alone beside it (mask dB); *start*: until the first frame; *faster*: than "
+        f"`{result['best_baked_rung']}`, median of the rounds' ratios; "
         "*dominated*: another rung is surely faster and in no picture less exact. `bench.html` shows it.",
         "",
     ]

@@ -16,7 +16,6 @@ from scipy.ndimage import binary_dilation
 
 from avatar.camera import Camera, pixel_rays, project
 from avatar.skeleton import PARTS
-from bake.truth import REGIONS
 from bench.field.posed_field import MaskedPicture
 from bench.score.metrics import ComparedPicture, ImageScores, Perceive, rectangle
 from bench.score.true_mesh import TrueMesh
@@ -29,6 +28,8 @@ from player.draw.raster import Rasteriser
 # pose, root, camera, squared samples a pixel, pixels that are looked at (others may be left black)
 Draw = Callable[[Float[Array, "52 3"], Float[Array, "3"], Camera, int, Bool[Array, "height width"]], MaskedPicture]
 
+# the view that each region is scored on
+REGIONS = {"total": "body", "head": "head", "left_hand": "hand_left", "right_hand": "hand_right"}
 VIEW_REGION = {view: region for region, view in REGIONS.items()}
 REGION_PART = {region: PARTS.index(view) for region, view in REGIONS.items() if region != "total"}
 BOX_MARGIN = 0.02  # metres round the posed true region

@@ -16,13 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from avatar.baked_avatar import Avatar
 from avatar.skeleton import BIG_POSE
-from bake.truth import IDENTITY, better_mode, scores_by_mode, some_poses
+from bake.promises import recorded_loss
 from bench.field.drawer import Drawer
 from bench.field.posed_field import PosableSurface, one_thread
 from bench.ladder.machine import machine
-from bench.ladder.remeasure import baked_facts, recorded_facts, remeasured
 from bench.report.writer import Json
 from bench.score.beside_hair import edges_at_hair, skin_to_surface, stretched_edges
 from bench.score.filmed_poses import FilmedPoses, filmed_poses
@@ -55,18 +53,15 @@ from bench.score.quality_table import PAPER
 from bench.score.region_scores import regions_of, with_outlines, without_eyes
 from bench.score.skeleton_distance import BODY, HANDS, LIMBS, joints_off, posed_skeletons, turned_off
 from bench.score.true_mesh import TrueMesh, read_true_mesh
+from bench.score.view_modes import view_modes
 from capture.folder import CaptureSubject, input_kind, read_subject
-from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts
+from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts, some_poses
 from command.errors import AssetError
 from command.progress import plural
 from files.input_file import read_json_object
 from player.draw.raster import Rasteriser
-from player.gl.context import open_context
 from synth.visibility import visible_faces
-from train.run import read_run
 
-# an avatar is compared with its run's field on so many poses of each held-out set
-FIELD_POSES = 3
 CAPTURE_FACTS = ("subject", "light", "sheen", "pose_noise_deg", "seed", "size", "registration")
 
 
@@ -116,7 +111,8 @@ def evaluate(
             what = replace(what, perceive=perceive)
             result = measured(what)
             if drawer.avatar is not None:
-                result |= of_avatar(what, facts, run, result["baked_vs_field"])
+                print_stage("every view mode of the avatar beside the true pictures")
+                result["view_modes"] = view_modes(drawer.avatar, what.ours or what.filmed)
         finally:
             drawer.release()
     kind_of_source = "avatar" if drawer.avatar is not None else "run"
@@ -148,47 +144,6 @@ def prepared(
     run_facts = {} if own_run is None else read_json_object(own_run / "run.json", "the facts of a run")
     videos = filmed_poses(own_run, run_facts, capture, poses)
     return Evaluated(drawer, truth, held_out, ours, template, videos)
-
-
-def of_avatar(what: Evaluated, facts: Json, run: Path | None, baked_vs_field: Json) -> Json:
-    """What only a baked avatar has: its view modes side by side, and its distance from the field of `run`."""
-    avatar, views = what.drawer.avatar, what.ours or what.filmed
-    assert avatar is not None
-    print_stage("every view mode of the avatar beside the true pictures")
-    out: Json = {"view_modes": view_modes(avatar, facts, views)}
-    if run is not None:
-        print_stage(f"the avatar against the field of {run}: what the file says, and held-out pictures")
-        some = {name: some_poses(those, FIELD_POSES) for name, those in views.items()}
-        out["baked_vs_field"] = baked_vs_field | remeasured(avatar, read_run(run).bake_source, some)
-    return out
-
-
-def view_modes(avatar: Avatar, facts: Json, held_out: dict[str, list[HeldOutView]]) -> Json:
-    """Every view mode of the file side by side: PSNR inside the true person, by set and region, and which is best."""
-    recorded = baked_facts(avatar).get("default_view")
-    judged = not_chosen_on(recorded, facts, held_out)
-    context = open_context()
-    try:
-        scores = scores_by_mode(context, avatar, judged)
-    finally:
-        context.release()
-    best, reason = better_mode(scores["all"])
-    return {"psnr_db": scores, "best": best, "reason": reason, "default": avatar.default_view, "file_says": recorded,
-            "pictures": {name: len(views) for name, views in judged.items()}}  # fmt: skip
-
-
-def not_chosen_on(
-    recorded: object, facts: Json, held_out: dict[str, list[HeldOutView]]
-) -> dict[str, list[HeldOutView]]:
-    """The pictures on which the file's view mode was not chosen; all, where it was chosen on another capture, or where
-    none would be left."""
-    if not isinstance(recorded, dict) or any(recorded.get(key) != facts.get(key) for key in IDENTITY):
-        return held_out
-    used = recorded.get("chosen_on", {}).get("poses", {})
-    left = {
-        name: [view for view in views if view.pose_index not in used.get(name, [])] for name, views in held_out.items()
-    }
-    return left if any(left.values()) else held_out
 
 
 def seen_case(drawer: Drawer, truth: TrueMesh, surface: PosableSurface) -> GeometryCase:
@@ -373,7 +328,7 @@ def baked_vs_field_of(drawer: Drawer) -> Json:
     """What the bake measured against its field, from the avatar's provenance; null for a run."""
     if drawer.avatar is None:
         return {"paper_db": None, "network_db": None, "reason": "a run is not baked; evaluate its avatar"}
-    found = recorded_facts(drawer.avatar)["against_field"]
+    found = recorded_loss(drawer.avatar)
     if "paper_db" not in found:
-        return {"paper_db": None, "network_db": None, "reason": "the avatar file does not say; give --run"}
+        return {"paper_db": None, "network_db": None, "reason": "the avatar file does not say"}
     return {"paper_db": found["paper_db"], "network_db": (found.get("cone_db") or {}).get("network")}

@@ -82,29 +82,6 @@ def view_mode_lines(result: Json) -> list[str]:
     return [*lines, f"- default {modes['default']}; best here {modes['best']} ({modes['reason']})"]
 
 
-def lost_lines(result: Json) -> list[str]:
-    """What the file says was lost, and what was found now with its run at hand."""
-    baked = result["baked_vs_field"]
-    if "found" not in baked:
-        return []
-    said, found = baked["said"]["against_field"], baked["found"]["against_field"]
-    lines = [f"- paper field against paper mode: said {number(said.get('paper_db'))} dB, "
-             f"found {number(found['paper_db'])}"]  # fmt: skip
-    lines += [
-        f"- cone field against {mode}: said {number((said.get('cone_db') or {}).get(mode))} dB, found {number(db)}, "
-        f"held-out {number(baked.get('on_held_out', {}).get('cone_db', {}).get(mode))}"
-        for mode, db in found["cone_db"].items()
-    ]
-    levels = baked["said"]["levels"]
-    for index, level in enumerate(baked["found"]["levels"]):
-        recorded = levels[index].get("field_to_mesh_mm", {}).get("mean") if index < len(levels) else None
-        lines.append(f"- level {index}: field to mesh said {number(recorded, 3)} mm, "
-                     f"found {number(level['field_to_mesh_mm']['mean'], 3)}")  # fmt: skip
-    if baked.get("texture_from") == "videos":
-        lines.append("- textures are from the videos: what was found against the field is how much they changed it")
-    return ["What was lost in baking, as the file says and as measured now:", *lines]
-
-
 def print_table(result: Json) -> None:
     """The table on standard output, and what its numbers mean."""
     rows = [["", *(metric.title for metric in METRICS)], *table_rows(result)]
@@ -112,4 +89,4 @@ def print_table(result: Json) -> None:
     for row in rows:
         print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]))
     print(f"input: {result.get('input', 'given')}")
-    print("\n".join((*DECIBELS, *view_mode_lines(result), *lost_lines(result))))
+    print("\n".join((*DECIBELS, *view_mode_lines(result))))

@@ -3,10 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-from PIL import Image
-
-from capture.check.face import close_ups, face_line
-from capture.check.keypoints import Followed, compare_keypoints, keypoint_findings, keypoint_lines
 from capture.check.options import CheckCommand
 from capture.check.report import CaptureReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
@@ -28,26 +24,22 @@ def check_capture(arguments: CheckCommand) -> int:
     first, *others = arguments.capture
     if others or holds_videos(first):
         return _check_videos(arguments)
+    if arguments.keypoints:
+        raise AssetError(f"--keypoints: is for videos as filmed, {first} is a capture")
     capture = read_capture(first)
     try:
         report = examine(capture)
     except ValueError as error:  # the landmarks determine nothing
         raise AssetError(f"{capture.path / 'head' / 'landmarks.json'}: {error}") from None
-    followed = compare_keypoints(capture, arguments.keypoints, report) if arguments.keypoints else ()
-    judged = verdict_of((*verdict(report).findings, *keypoint_findings(followed)))
-    print("\n".join(lines(report, judged, followed)))
+    judged = verdict(report)
+    print("\n".join(lines(report, judged)))
     facts = {"capture": str(capture.path), "usable": judged.usable, "verdict": judged.line(),
-             "findings": [vars(finding) for finding in judged.findings],
-             "keypoints": [vars(part) for part in followed], **report_facts(report)}  # fmt: skip
+             "findings": [vars(finding) for finding in judged.findings], **report_facts(report)}  # fmt: skip
     _write_facts(arguments, facts)
     if arguments.out:
-        out = arguments.out
-        write_overlays(out / "overlays.png", capture, report)
-        print(f"{out / 'overlays.png'}: outline of the mask red, of the template's parts in other colors")
-        if report.face is not None and report.face.shown:
-            with whole_file(out / "face.png") as file:
-                Image.fromarray(close_ups(capture, report.face)).save(file, format="PNG")
-            print(f"{out / 'face.png'}: the face at 512 pixels, as the head's video shows it")
+        path = arguments.out / "overlays.png"
+        write_overlays(path, capture, report)
+        print(f"{path}: outline of the mask red, of the template's parts in other colors")
     return 0 if judged.usable else 1
 
 
@@ -69,7 +61,7 @@ def _write_facts(arguments: CheckCommand, facts: dict) -> None:
         write_json(arguments.out / "check.json", facts)
 
 
-def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...] = ()) -> list[str]:
+def lines(report: CaptureReport, judged: Verdict) -> list[str]:
     """The report for reading."""
     out = [
         f"template {report.height:.2f} m tall; head frame by {report.landmarks} landmarks, "
@@ -86,16 +78,6 @@ def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...]
             f"{part.mean.spread:>11.2f}  {worst:<15} {part.mean.iou:>8.3f} {part.coverage.seen:>5.0%} "
             f"{part.coverage.gap:>3.0f}° {sharp:>7} {clipped:>8.1%}"
         )
-    # side by side: a column is 30 degrees of the turn, a digit the frames there (+ for ten and more)
-    out += ["", "frames by direction of the camera, turning to the right, from above to below:"]
-    out.append("  " + "  ".join(f"{name:<12}" for name in report.parts))
-    sign = lambda n: "." if n == 0 else str(n) if n < 10 else "+"
-    for rows in zip(*(part.coverage.histogram.tolist() for part in report.parts.values())):
-        out.append("  " + "  ".join("".join(map(sign, row)) for row in rows))
-    if report.face is not None:
-        out += ["", face_line(report.face)]
-    if followed:
-        out += ["", *keypoint_lines(followed)]
     if report.unseen:
         out += ["", "hardly seen; the avatar gets the color of what lies round it there:"]
         out += [f"  {place.line()}" for place in report.unseen]

@@ -1,9 +1,9 @@
-"""From where a part was seen: share of its surface, gaps of the turn, a histogram of directions."""
+"""From where a part was seen: share of its surface, gaps of the turn."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
@@ -14,7 +14,6 @@ from geometry.mesh import vertex_areas, vertex_normals
 
 # frames that should see a point: two to place it, one to confirm
 ENOUGH = 3
-AZIMUTHS, ELEVATIONS = 12, 6
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,6 @@ class Coverage:
     seen: float
     # degrees: the largest angle of the turn without a frame
     gap: float
-    # frames by direction of the camera, top row from above
-    histogram: Int[Array, "elevations azimuths"]
 
 
 def coverage(capture: Capture, part: str, visible: Bool[Array, "faces"]) -> Coverage:
@@ -44,13 +41,7 @@ def coverage(capture: Capture, part: str, visible: Bool[Array, "faces"]) -> Cove
     sums = part_views(in_view, subject, subject.vertices, normals, subject.skin, own, transform)
     area = vertex_areas(subject.vertices, subject.faces[visible]) * own
     seen = float(area[sums.count >= ENOUGH].sum() / max(area.sum(), 1e-12))
-    towards = camera_directions(capture, part)
-    azimuth, elevation = turn_angles(towards, part)
-    rows = np.clip(((0.5 - elevation / np.pi) * ELEVATIONS).astype(int), 0, ELEVATIONS - 1)
-    columns = (azimuth / (2 * np.pi) * AZIMUTHS).astype(int) % AZIMUTHS
-    histogram = np.zeros((ELEVATIONS, AZIMUTHS), np.int64)
-    np.add.at(histogram, (rows, columns), 1)
-    return Coverage(seen, largest_gap(azimuth), histogram)
+    return Coverage(seen, largest_gap(turn_angles(camera_directions(capture, part), part)))
 
 
 def camera_directions(capture: Capture, part: str) -> Float[Array, "frames 3"]:
@@ -69,17 +60,14 @@ def camera_directions(capture: Capture, part: str) -> Float[Array, "frames 3"]:
     return np.array(out) / np.linalg.norm(out, axis=1, keepdims=True)
 
 
-def turn_angles(towards: Float[Array, "frames 3"], part: str) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
-    """Angle about the part's long axis, 0 to 2 pi, and the angle out of the plane across it.
+def turn_angles(towards: Float[Array, "frames 3"], part: str) -> Float[Array, "frames"]:
+    """Angle about the part's long axis, 0 to 2 pi.
 
-    Body and head: about +y, from the chest (+z) to the left. Hands: about the forearm (+x or -x, fingers up in
-    the histogram), from the thumb's side (+z) to the back of the hand (+y).
+    Body and head: about +y, from the chest (+z) to the left. Hands: about the forearm, from the thumb's side (+z) to
+    the back of the hand (+y).
     """
     x, y, z = towards.T
-    if part in ("body", "head"):
-        return np.arctan2(x, z) % (2 * np.pi), np.arcsin(np.clip(y, -1, 1))
-    along = x if part == "hand_left" else -x
-    return np.arctan2(y, z) % (2 * np.pi), np.arcsin(np.clip(along, -1, 1))
+    return np.arctan2(x if part in ("body", "head") else y, z) % (2 * np.pi)
 
 
 def largest_gap(azimuth: Float[Array, "frames"]) -> float:

@@ -18,13 +18,12 @@ class CheckCommand:
     ]
     out: Annotated[
         Path | None, Option(("-o", "--out"), "DIR"),
-        "write DIR/check.json and, of a capture, DIR/overlays.png and DIR/face.png"
+        "write DIR/check.json and, of a capture, DIR/overlays.png"
     ] = None
     keypoints: Annotated[
         Path | None, Option(metavar="DIR"),
-        "keypoints of the videos in DIR/body, DIR/hand_left, DIR/hand_right (OpenPose, COCO-WholeBody, MediaPipe), one "
-        "for each frame of the capture: do the poses follow them? Of videos as filmed DIR/head too (default: keypoints "
-        "in the folder beside them)"
+        "of videos as filmed: keypoints in DIR/body, DIR/head, DIR/hand_left, DIR/hand_right (OpenPose, "
+        "COCO-WholeBody, MediaPipe), one for each frame (default: keypoints in the folder beside them)"
     ] = None
     json: Annotated[Path | None, Option(metavar="FILE"), "write everything measured and the verdict to FILE"] = None
 
@@ -35,7 +34,7 @@ ABOUT = Help(
 frames, sharpness and view directions sound? Ends in a verdict: usable; usable, but ...; not usable because ...
 (exit code 1), each with what to do. Videos as filmed are looked at before any fit: is the person whole, alone and sharp
 in them, does the camera stand still, is there an empty second?""",
-    "example: selfscan check out/capture -o out/check, then look at out/check/overlays.png and face.png",
+    "example: selfscan check out/capture -o out/check, then look at out/check/overlays.png",
 )
 
 

@@ -1,6 +1,5 @@
-"""The pictures themselves: blurred, burnt out, repeated or missing frames."""
+"""The pictures themselves: blurred, burnt out or repeated frames."""
 
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -60,13 +59,6 @@ def repeated(images: UInt8[Array, "frames height width 3"]) -> list[int]:
     """Frames that are the picture before them once more."""
     differs = [np.abs(images[i].astype(np.int16) - images[i - 1]).mean() for i in range(1, len(images))]
     return [i + 1 for i, difference in enumerate(differs) if difference < REPEATED]
-
-
-def missing(folder: Path) -> list[int]:
-    """Numbers that the file names of a folder of frames leave out between the first and the last."""
-    stems = [path.stem for path in folder.glob("*.png")]
-    numbers = sorted(int(stem) for stem in stems if stem.isdecimal())
-    return sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers)) if numbers else []
 
 
 def exposure(images: UInt8[Array, "frames height width 3"], masks: Bool[Array, "frames height width"]) -> Clipping:

@@ -10,8 +10,7 @@ from avatar.camera import project
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.check.coverage import Coverage, coverage
-from capture.check.face import FaceReport, face_report
-from capture.check.pictures import Clipping, blurred, exposure, missing, repeated, sharpness
+from capture.check.pictures import Clipping, blurred, exposure, repeated, sharpness
 from capture.check.silhouette import Agreement, TemplateOutline, agreement, outline, posed_template
 from capture.check.unseen import UnseenPlace, frames_that_see, unseen_places
 from capture.folder import Capture
@@ -50,8 +49,6 @@ class PartReport:
     cropped: tuple[int, ...]
     blurred: tuple[int, ...]
     repeated: tuple[int, ...]
-    # numbers that the file names leave out
-    missing: tuple[int, ...]
     exposure: Clipping
     coverage: Coverage
 
@@ -68,8 +65,6 @@ class CaptureReport:
     parts: dict[str, PartReport]
     # sides of limbs that hardly any frame shows, the largest first
     unseen: tuple[UnseenPlace, ...] = ()
-    # None: the template's eyes are not known
-    face: FaceReport | None = None
 
 
 def examine(capture: Capture) -> CaptureReport:
@@ -82,7 +77,7 @@ def examine(capture: Capture) -> CaptureReport:
     parts = {part: examine_part(capture, part, scale, visible) for part in PARTS}
     height = float(np.ptp(subject.rest[:, 1]))
     unseen = unseen_places(subject.rest, subject.faces, subject.skin, frames_that_see(capture), visible)
-    return CaptureReport(height, len(head.landmarks), fit.residual, scale, parts, unseen, face_report(capture))
+    return CaptureReport(height, len(head.landmarks), fit.residual, scale, parts, unseen)
 
 
 def examine_part(capture: Capture, part: str, head_scale: float, visible: Bool[Array, "faces"]) -> PartReport:
@@ -117,7 +112,6 @@ def examine_part(capture: Capture, part: str, head_scale: float, visible: Bool[A
         cropped=tuple(o.frame for o, area in zip(outlines, inside) if area.sum() > area[1:-1, 1:-1].sum()),
         blurred=tuple(blurred(sharp)),
         repeated=tuple(repeated(video.images)),
-        missing=tuple(missing(capture.path / part / "images")),
         exposure=exposure(video.images, video.masks),
         coverage=coverage(capture, part, visible),
     )
@@ -160,14 +154,11 @@ def report_facts(report: CaptureReport) -> dict:
         facts["outline"] = part.mean._asdict()
         facts["per_frame"] = [{"frame": o.frame, **o.agreement._asdict()} for o in part.outlines]
         facts["exposure"] = part.exposure._asdict()
-        facts["coverage"] = {
-            "seen": part.coverage.seen, "gap_degrees": part.coverage.gap, "histogram": part.coverage.histogram.tolist(),
-        }  # fmt: skip
+        facts["coverage"] = {"seen": part.coverage.seen, "gap_degrees": part.coverage.gap}
         parts[name] = facts
     whole = {k: getattr(report, k) for k in ("height", "landmarks", "landmark_residual", "head_scale")}
     unseen = [asdict(place) for place in report.unseen]
-    face = None if report.face is None else asdict(report.face)
-    return {key: _plain(value) for key, value in {**whole, "parts": parts, "unseen": unseen, "face": face}.items()}
+    return {key: _plain(value) for key, value in {**whole, "parts": parts, "unseen": unseen}.items()}
 
 
 def _plain(value: object) -> object:

@@ -4,7 +4,6 @@ The numbers stand between what was measured on clean captures of four people and
 degrees, masks eroded by 3 px, exchanged hands, one side never filmed); docs/decisions.md has the table.
 """
 
-from capture.check.face import FaceReport
 from capture.check.report import CaptureReport, PartReport
 from capture.check.silhouette import MISALIGNED, common
 from capture.raw.judge import Finding, Verdict, verdict_of
@@ -26,7 +25,6 @@ LEFT_OUT = 0.05
 RESIDUAL = (0.006, 0.02)
 # share of a part's surface seen in a few frames: holes, a side never filmed
 SEEN = (0.8, 0.6)
-IRIS_PIXELS = 6.0  # pixels across an iris under which iris, pupil and white run together
 GAP = 60.0  # degrees of the turn without a frame
 FEW = 16  # frames of a video
 # share of the frames: so many bad ones are no accident
@@ -47,27 +45,13 @@ def verdict(report: CaptureReport) -> Verdict:
     ))]  # fmt: skip
     for part in report.parts.values():
         rows += [(part.part, row) for row in (*_frames(part), *_masks(part), *_poses(part), *_views(part))]
-    if report.face is not None:
-        rows += [("head", row) for row in _face(report.face)]
     return verdict_of(Finding(part, fatal, what, advice) for part, (so, fatal, what, advice) in rows if so)
-
-
-def _face(face: FaceReport) -> list[Row]:
-    return [
-        (face.frames == 0, False, "no frame shows the eyes from the front", "film the face as well"),
-        (face.iris < IRIS_PIXELS and face.frames > 0, False, f"an iris is {face.iris:.0f} pixels wide",
-         "film the head closer, or give larger images: iris and white run together"),
-        (bool(face.closed) and face.frames > 0, False, f"lids look closed in frames {listed(face.closed)}",
-         "leave these frames out: half-closed lids end up in the texture of the eyes"),
-    ]  # fmt: skip
 
 
 def _frames(part: PartReport) -> list[Row]:
     burnt, black, pixel = part.exposure.burnt, part.exposure.black, part.metres_per_pixel
     return [
         (part.frames < FEW, False, f"{plural(part.frames, 'frame')} only", f"take {FEW} or more from it"),
-        (bool(part.missing), False, f"frame numbers are missing: {listed(part.missing)}",
-         "extract the video again, or rename if they were left out on purpose"),
         (bool(part.repeated), len(part.repeated) > SHARE * part.frames,
          f"frames repeat the one before: {listed(part.repeated)}",
          "extract at no more than the video's own rate; poses must skip the same frames"),

@@ -14,7 +14,6 @@ that are all too large are no error of a pose.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -36,24 +35,18 @@ from geometry.least_squares import NormalEquations, robust_weight
 from geometry.mesh import vertex_normals
 from geometry.rasterise import FaceBuffer, rasterise
 
-
-@dataclass(frozen=True)
-class AlignSettings:
-    """Standard deviations that weigh the terms."""
-
-    # pixels of one outline pixel: neighbours err together, so more than a pixel
-    outline: float = 3.0
-    color: float = 0.15  # one sample's, sRGB
-    prior: float = 3.0  # degrees, each joint about each axis
-    root: float = 0.01  # metres
-    smooth: float = 1.0  # degrees a frame a frame
-    # pixels of an image 256 high: over this much of the surface the shape is off alike
-    cell: float = 10.0
-    # outline pixels that have to agree before the shape is believed to be off
-    pseudocount: float = 10.0
-    rounds: int = 12
-    # the last of these rounds use colors too
-    colored: int = 5
+# standard deviations. Pixels of one outline pixel: neighbours err together, so more than a pixel
+OUTLINE = 3.0
+COLOR = 0.15  # one sample's, sRGB
+PRIOR = 3.0  # degrees, each joint about each axis
+ROOT = 0.01  # metres
+SMOOTH = 1.0  # degrees a frame a frame
+# pixels of an image 256 high: over this much of the surface the shape is off alike
+CELL = 10.0
+# outline pixels that have to agree before the shape is believed to be off
+PSEUDOCOUNT = 10.0
+# the last COLORED of the rounds use colors too
+ROUNDS, COLORED = 12, 5
 
 
 class Aligned(NamedTuple):
@@ -119,9 +112,8 @@ def moving_joints(subject: CaptureSubject, part: int, video: PartVideo, *, least
 
 
 def align(
-    video: PartVideo, subject: CaptureSubject, settings: AlignSettings = AlignSettings(),
-    each_round: Callable[[int, Float[Array, "frames 52 3"], Float[Array, "frames 3"]], None] | None = None,
-) -> Aligned:  # fmt: skip
+    video: PartVideo, subject: CaptureSubject, each_round: Callable[[int], None] = lambda number: None
+) -> Aligned:
     """Poses of a posed video moved onto its masks (see the top of this file)."""
     assert video.axis_angle is not None and video.root is not None
     part = PARTS.index(video.part)
@@ -130,17 +122,17 @@ def align(
     given = matrix_from_axis_angle(video.axis_angle)
     R, root = given.copy(), video.root.copy()
     frames, params = len(root), 3 * len(moving) + 3
-    sigma = np.r_[np.full(3, settings.root), np.full(params - 3, np.radians(settings.prior))]
+    sigma = np.r_[np.full(3, ROOT), np.full(params - 3, np.radians(PRIOR))]
     scale = video.masks.shape[1] / 256
     outlines = [pixel_contour(mask) for mask in video.masks]
     edge, beyond = np.zeros(frames), np.zeros(len(subject.vertices))
-    cells = ShapeCells(subject, settings.cell * metres_of_a_pixel(video) * scale)
-    cuts = scale * np.geomspace(40.0, 3.0, settings.rounds)
+    cells = ShapeCells(subject, CELL * metres_of_a_pixel(video) * scale)
+    cuts = scale * np.geomspace(40.0, 3.0, ROUNDS)
     for number, cut in enumerate(cuts):
-        first, colored = number == 0, number >= settings.rounds - settings.colored
+        first, colored = number == 0, number >= ROUNDS - COLORED
         views = [_view(scene, f, R[f], root[f], slide=first) for f in range(frames)]
         equations = NormalEquations(frames, params)
-        tolerance = _Tolerance(cut, settings.outline * scale)
+        tolerance = _Tolerance(cut, OUTLINE * scale)
         away: list[Array] = []
         corners: list[Array] = []
         for f, view in enumerate(views):
@@ -148,17 +140,16 @@ def align(
             away.append(r)
             corners.append(corner)
         if cut < 15 * scale:
-            beyond = cells.shared(np.concatenate(corners), np.concatenate(away), settings.pseudocount)
+            beyond = cells.shared(np.concatenate(corners), np.concatenate(away), PSEUDOCOUNT)
         if colored:
-            _add_colors(equations, scene, views, settings.color)
-        _add_smoothness(equations, R[:, moving], settings.smooth)
+            _add_colors(equations, scene, views)
+        _add_smoothness(equations, R[:, moving])
         delta = axis_angle_from_matrix(np.swapaxes(given, -1, -2) @ R)[:, moving].reshape(frames, -1)
         equations.hold(np.arange(params), np.c_[root - video.root, delta], 1 / sigma**2)
         step, _ = equations.solve()
         R[:, moving] = turned(R[:, moving], step[:, 3:].reshape(frames, -1, 3))
         root = root + step[:, :3]
-        if each_round is not None:
-            each_round(number, axis_angle_from_matrix(R), root)
+        each_round(number)
     return Aligned(axis_angle_from_matrix(R), root, edge / scale)
 
 
@@ -242,8 +233,8 @@ def _add_outline(
     return float(length[close].mean()), away[near_by], corner[near_by]
 
 
-def outline_offset(video: PartVideo, subject: CaptureSubject, frames: int = 8) -> float:
-    """How far outside the posed template's outline the masks' is, mean over a few frames, pixels of 256 a height.
+def outline_offset(video: PartVideo, subject: CaptureSubject) -> float:
+    """How far outside the posed template's outline the masks' is, mean over eight frames, pixels of 256 a height.
 
     Only outlines within 5 pixels of each other are compared, where the template shows the part.
     """
@@ -251,7 +242,7 @@ def outline_offset(video: PartVideo, subject: CaptureSubject, frames: int = 8) -
     scale = video.masks.shape[1] / 256
     scene = _Scene(video, subject, np.zeros(0, int), _near_faces(subject, PARTS.index(video.part)))
     found = []
-    for f in even(len(video.masks), frames):
+    for f in even(len(video.masks), 8):
         view = _view(scene, f, matrix_from_axis_angle(video.axis_angle[f]), video.root[f], slide=False)
         template, mask = view.outline, pixel_contour(video.masks[f])
         if len(template.at) == 0 or len(mask.at) == 0:
@@ -281,7 +272,7 @@ def _seen(scene: _Scene, view: _DrawnTemplate, f: int) -> tuple[Array, Array]:
     return at, pixels[at]
 
 
-def _add_colors(equations: NormalEquations, scene: _Scene, views: list[_DrawnTemplate], sigma: float) -> None:
+def _add_colors(equations: NormalEquations, scene: _Scene, views: list[_DrawnTemplate]) -> None:
     """Add the color term of all frames: each vertex against its mean over the frames that see it, at least 4."""
     video, subject = scene.video, scene.subject
     total, number = np.zeros((len(subject.vertices), 3)), np.zeros(len(subject.vertices))
@@ -300,7 +291,7 @@ def _add_colors(equations: NormalEquations, scene: _Scene, views: list[_DrawnTem
         if len(at) == 0:
             continue
         r = r - np.median(r, 0)  # exposure
-        weight = robust_weight((r**2).sum(1), sigma) / sigma**2 * _share_of_pixel(pixels)
+        weight = robust_weight((r**2).sum(1), COLOR) / COLOR**2 * _share_of_pixel(pixels)
         moves = pixel_rows(video.cameras[f], views[f].posed[at])[1]
         dy, dx = (bilinear(slope, pixels) for slope in np.gradient(image, axis=(0, 1)))
         for c in range(3):
@@ -315,8 +306,8 @@ def _share_of_pixel(pixels: Float[Array, "n 2"]) -> Float[Array, "n"]:
     return 1 / count[of.ravel()]
 
 
-def _add_smoothness(equations: NormalEquations, R: Float[Array, "frames m 3 3"], degrees: float) -> None:
-    """Add the second differences of the moving joints' rotations, standard deviation `degrees`; jumps count less."""
+def _add_smoothness(equations: NormalEquations, R: Float[Array, "frames m 3 3"]) -> None:
+    """Add the second differences of the moving joints' rotations; jumps count less."""
     a, rows = second_turns(R)
-    weight = robust_weight((a**2).sum(2), np.radians(12.0)) / np.radians(degrees) ** 2
+    weight = robust_weight((a**2).sum(2), np.radians(12.0)) / np.radians(SMOOTH) ** 2
     equations.add_second_difference(3 + np.arange(3 * R.shape[1]).reshape(-1, 3), a, rows, weight)

@@ -22,7 +22,7 @@ from numpy import ndarray as Array
 
 from avatar.skeleton import PARTS
 from capture.check.silhouette import MISALIGNED, outline_errors
-from capture.fit.align import AlignSettings, align, outline_offset
+from capture.fit.align import align, outline_offset
 from capture.fit.masks import believed_offset, mask_offsets, pixels_off, redrawn
 from capture.folder import Capture, PartVideo, read_capture
 from capture.videos import changed, only
@@ -33,8 +33,6 @@ from files.whole import whole_file
 
 # what refined_PART.npz holds beside `frames` and `masks_off`, where there is any
 REFINED = ("axis_angle", "root", "masks", "unsure")
-
-ROUNDS = AlignSettings().rounds  # per video
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ def refine_part(job: RefineJob, reporter: Reporter) -> dict:
     if job.masks_off:
         video = replace(video, masks=redrawn(video, subject, pixels_off(video, job.masks_off)).masks)
     assert video.axis_angle is not None and video.root is not None
-    aligned = align(video, subject, AlignSettings(), lambda number, *_: reporter.step(number + 1, "poses onto masks"))
+    aligned = align(video, subject, lambda number: reporter.step(number + 1, "poses onto masks"))
     kept = frames_on_the_mask(aligned.edge)
     video = _with_poses(video, aligned.axis_angle[kept], aligned.root[kept], kept)
     facts = {

@@ -3,8 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,15 +15,16 @@ from avatar.skeleton import PARTS, skin_transforms
 from capture.fit import body, hand, head
 from capture.fit.focal import Focal, focal_of_videos
 from capture.fit.footage import Estimate, Footage, footage_of
-from capture.fit.person import Person, person_of
+from capture.fit.person import person_of
 from capture.fit.points import body_points
 from capture.fit.refusals import check_fit, check_footage, check_upright
-from capture.fit.stored import FIELDS, estimate_fields, estimate_of, fingerprint, read_step, write_step
 from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
 from capture.read.template import TemplateMesh
 from command.errors import AssetError
 from command.progress import Progress, ProgressBoard, Reporter, plural
 from command.workers import run_jobs
+
+Step = TypeVar("Step")
 
 # shorter sides of the picture: a phone's video, where its file does not say
 FOCAL = 1.5
@@ -32,7 +32,7 @@ FOCAL = 1.5
 # videos, from which one alone would draw it away
 GUESSED, WRITTEN, GIVEN, FOUND = 0.1, 0.05, 0.005, 0.003
 # what each video's fit reports
-STEPS = {"focal": 4, "body": 10, "hand_left": 6, "hand_right": 6, "head": 8}
+STEPS = {"focal length": 4, "body": 10, "hand_left": 6, "hand_right": 6, "head": 8}
 # one hand's fingers begin as the other's were found
 CLOSE_UPS = {"hands": ("hand_left", "hand_right"), "head": ("head",)}
 OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -43,19 +43,17 @@ LANDMARKS = {
 }  # fmt: skip
 
 
-def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, work: Path | None = None) -> FittedScan:
+def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None) -> FittedScan:
     """The person of the videos, their poses and cameras.
 
     `sex` ("male", "female") is the free body that is begun with; `stature` in metres (None: that body's own, and every
-    length with it). Finished steps are kept in the folder `work`, and not done again for the same videos.
+    length with it).
 
     Raises:
         AssetError: a video has too few points, points that are not of its person, or a fit that explains too little.
     """
     notes = [] if stature else [f"stature not given: {person_of(sex).stature:.2f} m of the free body, {sex}"]
-    if work is not None:
-        work.mkdir(parents=True, exist_ok=True)
-    fit = _Fit(work, Progress("fitting", STEPS["focal"] + STEPS["body"]).update)
+    fit = _Fit(Progress("fitting", STEPS["focal length"] + STEPS["body"]).update)
     found: dict[str, FittedVideo] = {}
     person = person_of(sex, stature)
     phone = phone_of(scan.videos.values())
@@ -64,7 +62,8 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
         check_footage(part, footage)
     check_upright(footages["body"])
     if any(video.focal is None for video in scan.videos.values()):
-        phone = fit.focal(person, {part: tracked_in(video, phone) for part, video in scan.videos.items()})
+        tracked = {part: tracked_in(video, phone) for part, video in scan.videos.items()}
+        phone = fit.step("focal length", lambda report: focal_of_videos(person, tracked, report))
         pixels = phone.shorter_sides * min(scan.videos["body"].size)
         notes.append(
             f"focal length not given: {pixels:.0f} pixels ({100 * phone.sigma:.1f} % unsure) found from the videos"
@@ -73,13 +72,12 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
         footages = {part: footage_in(video, phone) for part, video in scan.videos.items()}
 
     footage = footages["body"]
-    estimate = fit.step("body", person, np.zeros(0), footage,
-                        lambda person, g, report: body.fit_body(person, footage, report))  # fmt: skip
+    estimate = fit.step("body", lambda report: body.fit_body(person, footage, report))
     # sides that the detector exchanged are of no account here
     usable = check_fit("body", estimate, body.sides_restored(estimate, footage))
     found["body"] = posed_video(estimate, footage, usable, level=True)
 
-    estimate, closer, said = _with_close_ups(scan.videos["body"], footages, phone, estimate, fit)
+    estimate, closer, said = _with_close_ups(scan.videos["body"], footages, phone, estimate)
     joints = estimate.person.joints(estimate.g)
     # a body's video shows a face well enough, but fingers as some pixels
     found |= {part: closer[part] if part in closer else carried(part, found["body"], joints) for part in PARTS[1:]}
@@ -100,8 +98,6 @@ class _CloseUps(NamedTuple):
 
     footages: dict[str, Footage]
     estimate: Estimate  # the body's
-    before: str
-    work: Path | None
     filmed: bool  # or cut from the body's video, which may show too little
 
 
@@ -115,7 +111,7 @@ class _SeenClose(NamedTuple):
 
 
 def _fit_close_ups(job: _CloseUps, reporter: Reporter) -> _SeenClose:
-    fit, estimate, videos = _Fit(job.work, reporter.step, job.before), job.estimate, {}
+    fit, estimate, videos = _Fit(reporter.step), job.estimate, {}
     person, g = estimate.person, estimate.g
     try:
         for part, footage in job.footages.items():
@@ -128,7 +124,7 @@ def _fit_close_ups(job: _CloseUps, reporter: Reporter) -> _SeenClose:
 
 
 def _with_close_ups(
-    body: RawVideo, footages: Mapping[str, Footage], phone: Focal, estimate: Estimate, fit: "_Fit"
+    body: RawVideo, footages: Mapping[str, Footage], phone: Focal, estimate: Estimate
 ) -> tuple[Estimate, dict[str, FittedVideo], list[str]]:
     """The person with head and hands as their videos show them, those videos, and what is worth saying."""
     seen = {"head": footage_in(replace(body, part="head"), phone)} | dict(footages)
@@ -136,7 +132,7 @@ def _with_close_ups(
     for name, parts in CLOSE_UPS.items():
         there = {part: seen[part] for part in parts if part in seen}
         if there:
-            jobs[name] = _CloseUps(there, estimate, fit.before, fit.work, parts[0] in footages or name == "hands")
+            jobs[name] = _CloseUps(there, estimate, parts[0] in footages or name == "hands")
     workers = min(os.cpu_count() or 1, len(jobs))
     board = ProgressBoard({name: sum(STEPS[part] for part in job.footages) for name, job in jobs.items()}, workers)
     done = run_jobs(jobs, _fit_close_ups, board, workers)
@@ -151,28 +147,18 @@ def _with_close_ups(
 
 
 class _Fit:
-    """Steps of the fit: done, or read back, and reported."""
+    """Steps of the fit, each reported as it goes on."""
 
-    def __init__(self, work: Path | None, show: Callable[[int, str], None], before: str = ""):
-        self.work, self.show, self.before, self.done = work, show, before, 0
+    def __init__(self, show: Callable[[int, str], None]):
+        self.show, self.done = show, 0
 
-    def step(self, part: str, person: Person, g: Array, footage: Footage, fit: Callable[..., Estimate]) -> Estimate:
-        """The part's estimate: `fit` from coefficients `g`, or what was stored of the same inputs."""
-        self.before = fingerprint(footage, self.before, person.body.name, person.stature)
-        make = lambda: estimate_fields(fit(person, g, lambda note: self.report(f"{part}: {note}")))
-        return estimate_of(self.fields(part, FIELDS, self.before, make), person)
-
-    def fields(self, name: str, wanted: tuple[str, ...], inputs: str, make: Callable[[], dict]) -> dict[str, Any]:
-        """What a step found: as it was stored of the same inputs, or made, and then stored."""
-        path = None if self.work is None else self.work / f"{name}.npz"
+    def step(self, name: str, make: Callable[[body.Report], Step]) -> Step:
+        """What a step finds."""
         end = self.done + STEPS[name]
-        fields = read_step(path, wanted, inputs)
-        if fields is None:
-            fields = make()
-            write_step(path, fields, inputs)
+        found = make(lambda note: self.report(f"{name}: {note}"))
         self.done = end
         self.show(end, name)
-        return fields
+        return found
 
     def close_up(self, part: str, estimate: Estimate, footage: Footage) -> tuple[Estimate, FittedVideo]:
         """Head or hand, after what was found before.
@@ -181,22 +167,15 @@ class _Fit:
             AssetError: too few points show it, or nothing explains them.
         """
         check_footage(part, footage)
+        person, g = estimate.person, estimate.g
         if part == "head":
-            estimate = self.step(part, estimate.person, estimate.g, footage,
-                                 lambda person, g, report: head.fit_head(person, g, footage, report))  # fmt: skip
+            estimate = self.step(part, lambda report: head.fit_head(person, g, footage, report))
             camera = estimate.camera(footage)
             cameras = tuple(replace(camera, camera_from_world=pose) for pose in head.camera_from_head(estimate))
             return estimate, FittedVideo(cameras, None, None, check_fit(part, estimate, footage))
-        estimate = self.step(part, estimate.person, estimate.g, footage, lambda person, g, report:
-                             hand.fit_hand(person, g, footage, part.removeprefix("hand_"), report))  # fmt: skip
+        side = part.removeprefix("hand_")
+        estimate = self.step(part, lambda report: hand.fit_hand(person, g, footage, side, report))
         return estimate, posed_video(estimate, footage, check_fit(part, estimate, footage), level=False)
-
-    def focal(self, person: Person, footages: Mapping[str, Footage]) -> Focal:
-        """The focal length of all videos."""
-        inputs = fingerprint(footages["body"], *map(fingerprint, footages.values()), person.body.name, person.stature)
-        make = lambda: vars(focal_of_videos(person, footages, lambda note: self.report(f"focal length: {note}")))
-        found = self.fields("focal", ("shorter_sides", "sigma"), inputs, make)
-        return Focal(float(found["shorter_sides"]), float(found["sigma"]))
 
     def report(self, note: str) -> None:
         self.done += 1

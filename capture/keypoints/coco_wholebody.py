@@ -3,7 +3,6 @@
     MMPose 1.x     {"instance_info": [{"frame_id", "instances": [...]}]}, or a list of instances for one picture, each
                    with keypoints (133 of x, y) and keypoint_scores
     COCO results   a list of {"image_id", "keypoints": 399 numbers x, y, score}; a frame an image_id
-    annotations    the same with keypoints (17), foot_kpts, face_kpts, lefthand_kpts, righthand_kpts
 
 Pixels count from the middle of the first one, ours from its corner: half a pixel is added.
 """
@@ -15,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from capture.keypoints.record import FACE, Keypoints, checked, hand_points, keypoints_of, largest, number, triples
+from capture.keypoints.record import FACE, Keypoints, checked, hand_points, keypoints_of_people, number, triples
 from command.errors import AssetError
 
 BODY_17 = (
@@ -24,19 +23,17 @@ BODY_17 = (
 ).split()
 FEET = "left_big_toe left_small_toe left_heel right_big_toe right_small_toe right_heel".split()
 NAMES = (*BODY_17, *FEET, *FACE, *hand_points("left"), *hand_points("right"))
-GROUPS = (("keypoints", 17), ("foot_kpts", 6), ("face_kpts", 68), ("lefthand_kpts", 21), ("righthand_kpts", 21))
-MOST_FRAMES = 1_000_000
 
 
 def is_wholebody(content: Any) -> bool:
     """Whether parsed JSON is of one of these kinds."""
     if isinstance(content, dict):
-        return isinstance(content.get("instance_info"), list) or isinstance(content.get("annotations"), list)
+        return isinstance(content.get("instance_info"), list)
     first = content[0] if isinstance(content, list) and content else None
     return isinstance(first, dict) and "keypoints" in first
 
 
-def wholebody_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Keypoints:
+def wholebody_keypoints(frames: list[tuple[Path, Any]]) -> Keypoints:
     """The record of parsed files: one that holds all frames, or one a frame, in order.
 
     Raises:
@@ -45,18 +42,7 @@ def wholebody_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Key
     pictures: list[list[Float[Array, "133 3"]]] = []
     for path, content in frames:
         pictures += _pictures(path, content, one=len(frames) > 1)
-    if not 0 < len(pictures) <= MOST_FRAMES or not any(pictures):
-        raise AssetError(f"{frames[0][0]}: no person in any of {len(pictures)} frames")
-    rows = np.zeros((len(pictures), len(NAMES), 3))
-    others = np.zeros(len(rows))
-    for k, people in enumerate(pictures):
-        if people:
-            rows[k], others[k] = largest(people, notes)
-    empty = sum(not people for people in pictures)
-    if empty:
-        notes.append(f"no person in {empty} of {len(pictures)} frames")
-    rows[:, :, :2] += 0.5
-    return keypoints_of(NAMES, rows, None, notes, others)
+    return keypoints_of_people(frames[0][0], NAMES, pictures)
 
 
 def _pictures(path: Path, content: Any, *, one: bool) -> list[list[Float[Array, "133 3"]]]:
@@ -68,11 +54,10 @@ def _pictures(path: Path, content: Any, *, one: bool) -> list[list[Float[Array, 
                 raise AssetError(f"{path}: instance_info[{k}] should be an object with instances")
             out.append([_person(f"{path}: frame {k}", person) for person in info["instances"]])
         return out
-    people = content.get("annotations") if isinstance(content, dict) else content
-    if not isinstance(people, list):
+    if not isinstance(content, list):
         raise AssetError(f"{path}: expected keypoints of COCO-WholeBody, a list of people or an object of MMPose")
     by_image: dict[Any, list[Array]] = {}
-    for k, person in enumerate(people):
+    for k, person in enumerate(content):
         rows = _person(f"{path}: person {k}", person)
         image = person.get("image_id", 0)
         if type(image) not in (int, str):
@@ -89,8 +74,6 @@ def _person(place: str, person: Any) -> Float[Array, "133 3"]:
     if not isinstance(person, dict) or not isinstance(person.get("keypoints"), list):
         raise AssetError(f"{place} should be an object with keypoints")
     value = person["keypoints"]
-    if len(value) == 3 * 17 and "foot_kpts" in person:
-        return np.concatenate([triples(f"{place}: {key}", person.get(key), count) for key, count in GROUPS])
     if len(value) == 3 * len(NAMES):
         return triples(f"{place}: keypoints", value, len(NAMES))
     scores = person.get("keypoint_scores")

@@ -34,7 +34,7 @@ MESH = (
 
 
 def mediapipe_keypoints(
-    path: Path, frames: list[Frame], facts: FilmFacts, size: tuple[int, int] | None, notes: list[str]
+    path: Path, frames: list[Frame], facts: FilmFacts, size: tuple[int, int] | None
 ) -> Keypoints:
     """The record of frames of landmarks; `size` is the pictures' where the file does not have it.
 
@@ -63,5 +63,4 @@ def mediapipe_keypoints(
             rows[k, -len(FACE) :, 2] = 1.0
     if not rows[:, :, 2].any():
         raise AssetError(f"{path}: no pose_landmarks or hand landmarks in the picture in {len(frames)} frames")
-    notes.append("confidence of points of hands and face: 1 where they were found")
-    return keypoints_of(NAMES, rows, size, notes)
+    return keypoints_of(NAMES, rows, size)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of, largest, triples
+from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of_people, triples
 from command.errors import AssetError
 
 BODY_25 = (
@@ -28,30 +28,21 @@ def is_openpose(content: Any) -> bool:
     return isinstance(content, dict) and isinstance(content.get("people"), list)
 
 
-def openpose_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Keypoints:
+def openpose_keypoints(frames: list[tuple[Path, Any]]) -> Keypoints:
     """The record of parsed frames, in order.
 
     Raises:
         AssetError: no frame of OpenPose, lists of other lengths, numbers that are not finite, no person in any frame.
     """
-    rows = np.zeros((len(frames), len(NAMES), 3))
-    others = np.zeros(len(rows))
-    empty = 0
-    for k, (path, content) in enumerate(frames):
+    pictures = []
+    for path, content in frames:
         if not is_openpose(content):
             raise AssetError(f"{path}: expected a frame of OpenPose, an object with people")
-        people = [_person(f"{path}: people[{n}]", person) for n, person in enumerate(content["people"])]
-        if people:
-            rows[k], others[k] = largest(people, notes)
-        empty += not people
-    if empty == len(frames):
-        raise AssetError(f"{frames[0][0].parent}: no person in any of {len(frames)} frames")
-    if empty:
-        notes.append(f"no person in {empty} of {len(frames)} frames")
-    if rows[:, :, :2].max() <= 1:
+        pictures.append([_person(f"{path}: people[{n}]", person) for n, person in enumerate(content["people"])])
+    found = keypoints_of_people(frames[0][0].parent, NAMES, pictures)
+    if np.nanmax(found.pixels, initial=0) <= 1.5:
         raise AssetError(f"{frames[0][0]}: expected pixels, found parts of the picture (OpenPose's keypoint_scale 3)")
-    rows[:, :, :2] += 0.5
-    return keypoints_of(NAMES, rows, None, notes, others)
+    return found
 
 
 def _person(place: str, person: Any) -> Float[Array, "points 3"]:

@@ -24,15 +24,14 @@ def read_keypoints(path: Path | str, *, size: tuple[int, int] | None = None) -> 
         AssetError: none of these, or what the adapter refuses; file, field and frame are named.
     """
     path = Path(path)
-    notes: list[str] = []
     files = frame_files(path, ".json", WHAT) if path.is_dir() else [path]
     first = read_json(files[0], WHAT)
     if is_openpose(first) or is_wholebody(first):
         frames = [(file, first if k == 0 else read_json(file, WHAT)) for k, file in enumerate(files)]
-        return (openpose_keypoints if is_openpose(first) else wholebody_keypoints)(frames, notes)
+        return (openpose_keypoints if is_openpose(first) else wholebody_keypoints)(frames)
     if is_mediapipe(first):
         if len(files) > 1:
             raise AssetError(f"{path}: expected all frames of MediaPipe in one file, found {len(files)} files")
-        frames, facts = read_landmarks(files[0], notes)
-        return mediapipe_keypoints(files[0], frames, facts, size, notes)
+        frames, facts = read_landmarks(files[0], [])
+        return mediapipe_keypoints(files[0], frames, facts, size)
     raise AssetError(f"{files[0]}: expected {WHAT}, found JSON of another kind")

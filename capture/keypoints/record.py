@@ -7,6 +7,7 @@ Beside them: nose, eyes, ears; `shoulders` and `hips`, the middles that some det
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,6 @@ class Keypoints:
     pixels: Float[Array, "frames points 2"]
     confidence: Float[Array, "frames points"]  # 0 to 1
     size: tuple[int, int] | None  # width and height of the pictures, where the files have them
-    notes: tuple[str, ...] = ()  # what was assumed
     # size of the second largest person, of the largest one's; 0: alone. None: the files hold one person at most
     others: Float[Array, "frames"] | None = None
 
@@ -59,23 +59,36 @@ def keypoints_of(
     names: tuple[str, ...],
     rows: Float[Array, "frames points 3"],
     size: tuple[int, int] | None,
-    notes: list[str],
     others: Float[Array, "frames"] | None = None,
 ) -> Keypoints:
     """The record of rows of x, y and confidence; what has confidence 0 loses its pixel, confidences are cut at 1."""
     confidence = np.clip(rows[:, :, 2], 0, 1)
     pixels = np.where(confidence[:, :, None] > 0, rows[:, :, :2], np.nan)
-    return Keypoints(names, pixels, confidence, size, tuple(dict.fromkeys(notes)), others)
+    return Keypoints(names, pixels, confidence, size, others)
 
 
-def largest(people: list[Float[Array, "points 3"]], notes: list[str]) -> tuple[Float[Array, "points 3"], float]:
-    """The person whose seen points span most of the picture, and the next one's height as a share of this one's.
+def keypoints_of_people(
+    place: Path, names: tuple[str, ...], pictures: list[list[Float[Array, "points 3"]]]
+) -> Keypoints:
+    """The record of the largest person in each picture; pixels that count from the middle of the first one.
 
-    Says where there are several.
+    Raises:
+        AssetError: no person in any picture; the message begins with `place`.
     """
+    if not any(pictures):
+        raise AssetError(f"{place}: no person in any of {len(pictures)} frames")
+    rows, others = np.zeros((len(pictures), len(names), 3)), np.zeros(len(pictures))
+    for k, people in enumerate(pictures):
+        if people:
+            rows[k], others[k] = _largest(people)
+    rows[:, :, :2] += 0.5
+    return keypoints_of(names, rows, None, others)
+
+
+def _largest(people: list[Float[Array, "points 3"]]) -> tuple[Float[Array, "points 3"], float]:
+    """The person whose seen points span most of the picture, and the next one's height as a share of this one's."""
     if len(people) == 1:
         return people[0], 0.0
-    notes.append("people: several in a frame, the largest is taken")
     extents = []
     for rows in people:
         seen = rows[rows[:, 2] > 0, :2]

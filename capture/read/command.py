@@ -7,40 +7,16 @@ from pathlib import Path
 from typing import Annotated
 
 from avatar.body import read_body
-from avatar.skeleton import PARTS
 from capture.keypoints.detect import MODELS, detect, model_files
 from capture.raw.video_file import open_video, read_frames
-from capture.read.easymocap import MOST_FRAMES
+from capture.read.folder import MOST_FRAMES
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.progress import progress
 from command.settings import Above, AtLeast, AtMost, OneOf
 from files.whole import check_folder
 
-
-def parse_selection(text: str) -> tuple[str, tuple[int, int, int]]:
-    """PART=START:STEP:COUNT."""
-    part, _, numbers = text.partition("=")
-    try:
-        start, step, count = (int(number) for number in numbers.split(":"))
-        if part not in PARTS or start < 0 or step < 1 or count < 1:
-            raise ValueError
-    except ValueError:
-        expected = f"expected PART=START:STEP:COUNT with PART of {', '.join(PARTS)}"
-        raise argparse.ArgumentTypeError(f"{expected}, found {text!r}") from None
-    return part, (start, step, count)
-
-
-@dataclass(frozen=True)
-class FrameChoice:
-    """Which frames of the videos are taken."""
-
-    frames: Annotated[int, AtLeast(1), AtMost(1_000_000), "most frames of a video"] = MOST_FRAMES
-    select: Annotated[
-        tuple[tuple[str, tuple[int, int, int]], ...],
-        Option(metavar="PART=START:STEP:COUNT", parse=parse_selection, repeated=True),
-        "the frames of one video, for example body=500:10:90; may be given for each",
-    ] = ()
+Frames = Annotated[int, AtLeast(1), AtMost(1_000_000), "most frames of a video"]
 
 
 @dataclass(frozen=True)
@@ -49,7 +25,7 @@ class TotalSelfScanCommand:
 
     source: Annotated[Path, Option(positional=True, metavar="SRC"), "the subject's folder"]
     out: Annotated[Path, Option(positional=True, metavar="OUT"), "capture folder to write"]
-    frames: Annotated[FrameChoice, "which frames are taken"]
+    frames: Frames = MOST_FRAMES
     body: Annotated[
         Path | None, Option(metavar="MODEL"), "the SMPL+H model of the fits (.pkl, .npz), for its skin weights"
     ] = None
@@ -65,7 +41,7 @@ class EasyMocapCommand:
     head: Annotated[Path, Option(metavar="COLMAP_DIR"), "COLMAP model of the head video"]
     landmarks: Annotated[Path, Option(metavar="FILE"), "JSON: named pixels of the head video"]
     masks: Annotated[Path, Option(metavar="DIR"), "folder with masks of the four videos"]
-    frames: Annotated[FrameChoice, "which frames are taken"]
+    frames: Frames = MOST_FRAMES
 
 
 @dataclass(frozen=True)
@@ -125,7 +101,7 @@ FILMED = Help(
     "selfscan import video",
     """Videos of one person, as filmed, to a capture folder: frames are chosen, the person is cut from the room, body,
 hands, head and cameras are fitted. Head and hands without a film are cut from the body's, as sharp as they are there.
-Look at the videos first with `selfscan check`. Stopped, it goes on where it was.""",
+Look at the videos first with `selfscan check`. Stopped, it goes on with the frames and masks that it has.""",
     "example: selfscan import video me/body.mp4 me/head.mp4 me/left.mp4 me/right.mp4 --stature 1.78 -o capture",
 )
 RELEASED = Help(
@@ -173,9 +149,7 @@ def _import_video(command: VideoCommand) -> list[str]:
         _detect(keypoints, files, models)
     masks = None if reading.masks == "auto" else Path(reading.masks)
     given = VideoImport(files, keypoints, masks, reading.frames, reading.focal)
-    return import_video(
-        given, command.out, lambda scan, work: fit_scan(scan, sex=reading.sex, stature=reading.stature, work=work)
-    )
+    return import_video(given, command.out, lambda scan: fit_scan(scan, sex=reading.sex, stature=reading.stature))
 
 
 def main(argv: Sequence[str]) -> int:
@@ -190,24 +164,16 @@ def main(argv: Sequence[str]) -> int:
 
         check_folder(command.out)
         body = read_body(command.body) if command.body else None
-        notes = import_totalselfscan(
-            command.source, command.out, body=body, most=command.frames.frames, select=dict(command.frames.select)
-        )
+        notes = import_totalselfscan(command.source, command.out, body=body, most=command.frames)
     elif kind == "easymocap":
         command = parse(EasyMocapCommand, rest, OWN)
         from capture.read.easymocap import import_easymocap
 
         check_folder(command.out)
         notes = import_easymocap(
-            command.source,
-            command.out,
-            body=read_body(command.body),
-            head=command.head,
-            landmarks=command.landmarks,
-            masks=command.masks,
-            most=command.frames.frames,
-            select=dict(command.frames.select),
-        )
+            command.source, command.out, body=read_body(command.body), head=command.head, landmarks=command.landmarks,
+            masks=command.masks, most=command.frames,
+        )  # fmt: skip
     elif kind == "video":
         command = parse(VideoCommand, rest, FILMED)
         notes = _import_video(command)

@@ -25,7 +25,7 @@ from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, matr
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.read.colmap import read_colmap
-from capture.read.folder import PICTURES, SourceVideo, anchored, chosen_frames, mask_of, pictures_in, write_capture
+from capture.read.folder import PICTURES, SourceVideo, anchored, mask_of, pictures_in, spread, write_capture
 from capture.read.landmarks import LEAST, read_pixels, triangulated
 from capture.read.opencv_yaml import read_easymocap_camera
 from capture.read.places import SPOTS, landmark_vertices
@@ -33,8 +33,6 @@ from capture.read.template import TemplateMesh, body_template, check_height
 from command.errors import AssetError
 from files.picture import picture_size
 
-# taken from a video without a choice
-MOST_FRAMES = 100
 LEAST_HEAD_FRAMES = 3
 # |beta|; people lie within 3
 LARGEST_SHAPE = 10.0
@@ -43,20 +41,12 @@ WORST_FIT = 0.02
 
 
 def import_easymocap(
-    source: Path,
-    out: Path,
-    *,
-    body: Body,
-    head: Path,
-    landmarks: Path,
-    masks: Path,
-    most: int = MOST_FRAMES,
-    select: dict[str, tuple[int, int, int]] | None = None,
+    source: Path, out: Path, *, body: Body, head: Path, landmarks: Path, masks: Path, most: int
 ) -> list[str]:
     """Write the capture folder of a user's videos; returns what was assumed, line by line.
 
     `body`: the SMPL+H model of the fits. `head`: COLMAP's model of the head video. `landmarks`: its named pixels.
-    `select`: start, step and number of frames by part.
+    `most`: frames of a video.
 
     Raises:
         AssetError: a video, file or field is absent, misshapen or implausible. File and field are named.
@@ -67,8 +57,7 @@ def import_easymocap(
         if absent:
             raise AssetError(f"{place}: expected folders {', '.join(PARTS)}, found no {', '.join(absent)}")
     notes: list[str] = []
-    chosen = dict(select or {})
-    files = {part: _frame_files(source / part, part, most, chosen.get(part), notes) for part in PARTS if part != "head"}
+    files = {part: _frame_files(source / part, part, most, notes) for part in PARTS if part != "head"}
     fits = {part: read_fit([json for _, json in files[part]], body=body) for part in files}
     for part, fit in fits.items():
         _check_shapes(files[part], fit.shapes, body)
@@ -80,7 +69,7 @@ def import_easymocap(
     check_height(f"{source / 'body'}: shapes: the shaped body", template.vertices)
     videos: dict[str, SourceVideo] = {}
     videos["head"], points, own_vertices, error = _head_video(
-        source / "head", head, masks / "head", most, chosen.get("head"), landmarks, notes
+        source / "head", head, masks / "head", most, landmarks, notes
     )
     for part in fits:
         videos[part] = _fitted_video(source / part, masks / part, files[part], fits[part], body, template, notes)
@@ -116,9 +105,7 @@ def _fitted_video(
     return SourceVideo(images, masked, False, (turned,) * len(images), axis_angle, root, place)
 
 
-def _frame_files(
-    folder: Path, part: str, most: int, given: tuple[int, int, int] | None, notes: list[str]
-) -> list[tuple[Path, Path]]:
+def _frame_files(folder: Path, part: str, most: int, notes: list[str]) -> list[tuple[Path, Path]]:
     """Chosen images with the JSON of the same number."""
     images = pictures_in(_image_folder(folder))
     results = _result_folder(folder)
@@ -130,7 +117,7 @@ def _frame_files(
             f"{results}: expected poses of each of {len(images)} images, found {len(poses)}{first}: remove images that "
             "EasyMocap could not fit"
         )
-    frames = chosen_frames(len(images), most, given, str(folder))
+    frames = spread(len(images), most)
     pairs = []
     for k in frames:
         stem = images[k].stem
@@ -184,13 +171,7 @@ def _check_shapes(files: list[tuple[Path, Path]], shapes: Float[Array, "frames n
 
 
 def _head_video(
-    folder: Path,
-    model: Path,
-    masks: Path,
-    most: int,
-    given: tuple[int, int, int] | None,
-    landmarks: Path,
-    notes: list[str],
+    folder: Path, model: Path, masks: Path, most: int, landmarks: Path, notes: list[str]
 ) -> tuple[SourceVideo, dict[str, Array], dict[str, int], float]:
     """The head video with COLMAP's cameras; and its landmarks: points, the file's own vertices, mean error."""
     images = pictures_in(_image_folder(folder))
@@ -207,16 +188,9 @@ def _head_video(
     if len(registered) < len(images):
         left_out = len(images) - len(registered)
         notes.append(f"head: {left_out} of {len(images)} images are not in COLMAP's model, left out")
-    frames = chosen_frames(len(registered), most, given, str(folder))
+    frames = spread(len(registered), most)
     chosen = [registered[k] for k in frames]
     notes.append(f"head: {len(chosen)} of {len(registered)} registered frames, {chosen[0].stem} to {chosen[-1].stem}")
-    for image in chosen:
-        size, found = by_name[image.name].size, picture_size(image)
-        if size != found:
-            raise AssetError(f"{image}: should be {size} pixels as COLMAP's camera, is {found}")
-    sizes = {by_name[image.name].size for image in chosen}
-    if len(sizes) > 1:
-        raise AssetError(f"{model}: expected one size of all images, found {sorted(sizes)}")
     seen, vertices = read_pixels(landmarks)
     points, errors = {}, []
     for name, pixels in seen.items():

@@ -21,6 +21,8 @@ from files.whole import whole_file, whole_folder, write_json
 
 PICTURES = (".png", ".jpg", ".jpeg")
 NEAREST, FARTHEST = 0.1, 30.0  # metres between a camera and what it films
+# taken from a video
+MOST_FRAMES = 100
 # frames per second that poses.npz claims: the sources do not say, and nothing here depends on it
 RATE = 30.0
 # the joint each video keeps in its place
@@ -137,19 +139,9 @@ def mask_of(folder: Path, image: Path) -> Path:
     raise AssetError(f"{folder / (image.stem + '.png')}: no such mask, expected one for {image.name}")
 
 
-def chosen_frames(count: int, most: int, given: tuple[int, int, int] | None, place: str) -> Array:
-    """Indices of the frames to take: start, step and number as given, else at most `most`, evenly spread.
-
-    Raises:
-        AssetError: the choice reaches beyond the video.
-    """
-    if given is None:
-        return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
-    start, step, number = given
-    last = start + step * (number - 1)
-    if last >= count:
-        raise AssetError(f"{place}: frame {last} is chosen (start {start}, step {step}, {number} frames), has {count}")
-    return start + step * np.arange(number)
+def spread(count: int, most: int) -> Array:
+    """Indices of at most `most` frames, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
 def anchored(

@@ -9,7 +9,7 @@
        dt: d
        data: [1180., 0., 960., ...]
 
-Read by a small parser of our own: keys in the first column, matrices of numbers, lists of names. In intri.yml
+Only the matrices are read: a key in the first column, its lines indented. In intri.yml
 K_NAME (3,3) and dist_NAME (k1 k2 p1 p2 k3); in extri.yml Rot_NAME (3,3), or R_NAME (3,1) as axis-angle, and
 T_NAME (3,1): x_camera = R x_world + T, metres. Pixel centres lie on whole numbers; ours at .5.
 """
@@ -28,39 +28,25 @@ from files.input_file import read_text
 MAX_BYTES = 1 << 20
 MAX_VALUES = 1024  # one matrix'
 
-_ENTRY = re.compile(r"^([A-Za-z_][\w.\-]*):[ \t]*(.*)$")
-_NAME = re.compile(r"""^\s*-\s*(?:"([^"]*)"|'([^']*)'|(\S+))\s*$""")
+# a key in the first column, then lines that are indented
+_MATRIX = re.compile(r"^([A-Za-z_][\w.\-]*):[ \t]*!!opencv-matrix[ \t]*\n((?:[ \t].*(?:\n|\Z))*)", re.MULTILINE)
 
 
-def read_opencv_yaml(path: Path) -> tuple[list[str], dict[str, Array]]:
-    """Names and matrices of a FileStorage file; other entries are passed over.
+def read_opencv_yaml(path: Path) -> dict[str, Array]:
+    """Matrices of a FileStorage file; other entries are passed over.
 
     Raises:
-        AssetError: absent, not such a file, or a matrix whose data do not fill its rows and columns.
+        AssetError: absent, without matrices, or with one whose data do not fill its rows and columns.
     """
     text = read_text(path, "EasyMocap's cameras (OpenCV YAML)", most=MAX_BYTES)
-    entries: dict[str, list[str]] = {}
-    current: list[str] | None = None
-    for line in text.splitlines():
-        match = _ENTRY.match(line)
-        if match:
-            if match[1] in entries:
-                raise AssetError(f"{path}: {match[1]} is there twice")
-            current = entries[match[1]] = [match[2]]
-        elif line.strip() and not line.startswith(("%", "---", "...", "#")):
-            if current is None:
-                raise AssetError(f"{path}: expected OpenCV YAML, found {line[:40]!r}")
-            current.append(line)
-    names, matrices = [], {}
-    for key, lines in entries.items():
-        if "!!opencv-matrix" in lines[0]:
-            matrices[key] = _matrix(path, key, " ".join(lines[1:]))
-        elif key == "names":
-            found = [_NAME.match(line) for line in lines[1:]]
-            if not found or not all(found):
-                raise AssetError(f"{path}: names should be a list of names, is {' '.join(lines)[:60]!r}")
-            names = [next(group for group in match.groups() if group is not None) for match in found if match]
-    return names, matrices
+    matrices: dict[str, Array] = {}
+    for match in _MATRIX.finditer("\n".join(text.splitlines())):
+        if match[1] in matrices:
+            raise AssetError(f"{path}: {match[1]} is there twice")
+        matrices[match[1]] = _matrix(path, match[1], match[2])
+    if not matrices:
+        raise AssetError(f"{path}: expected OpenCV YAML with matrices, found {text[:40]!r}")
+    return matrices
 
 
 def _matrix(path: Path, key: str, text: str) -> Array:
@@ -90,8 +76,8 @@ def read_easymocap_camera(folder: Path, name: str | None, size: tuple[int, int])
             camera (zero focal length, no rotation).
     """
     intrinsics, extrinsics = folder / "intri.yml", folder / "extri.yml"
-    _, K_of = read_opencv_yaml(intrinsics)
-    _, R_of = read_opencv_yaml(extrinsics)
+    K_of = read_opencv_yaml(intrinsics)
+    R_of = read_opencv_yaml(extrinsics)
     names = sorted(key[2:] for key in K_of if key.startswith("K_"))
     if not names:
         raise AssetError(f"{intrinsics}: no K_NAME; it has {sorted(K_of)[:12]}")

@@ -33,7 +33,7 @@ from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.read.authors_files import field, numbers, record
 from capture.read.authors_template import AuthorsSkeleton, authors_template, read_skeleton
-from capture.read.folder import SourceVideo, anchored, chosen_frames, mask_of, pictures_in, write_capture
+from capture.read.folder import MOST_FRAMES, SourceVideo, anchored, mask_of, pictures_in, spread, write_capture
 from capture.read.opencv_yaml import opencv_camera
 from capture.read.places import landmark_vertices
 from capture.read.template import TemplateMesh
@@ -47,19 +47,12 @@ FOLDERS = {"body": ".", "head": "face", "hand_left": "hand/handl", "hand_right":
 AUTHORS_FRAMES = {
     "body": (500, 10, 90), "head": (0, 5, 100), "hand_left": (500, 16, 125), "hand_right": (400, 16, 125),
 }  # fmt: skip
-# taken from a video without a choice
-MOST_FRAMES = 100
 # metres between what two files of the folder say of one surface, median
 AGREE = 0.03
 
 
 def import_totalselfscan(
-    source: Path,
-    out: Path,
-    *,
-    body: Body | None = None,
-    most: int = MOST_FRAMES,
-    select: dict[str, tuple[int, int, int]] | None = None,
+    source: Path, out: Path, *, body: Body | None = None, most: int = MOST_FRAMES
 ) -> list[str]:
     """Write the capture folder of a subject; returns what was assumed, line by line.
 
@@ -73,12 +66,11 @@ def import_totalselfscan(
     if absent:
         raise AssetError(f"{source}: expected four videos, found no {', '.join(absent)}")
     notes: list[str] = []
-    chosen = dict(select or {})
     skeletons = {part: read_skeleton(source / FOLDERS[part] / "lbs") for part in PARTS if part != "head"}
     template = authors_template(source / "lbs", skeletons["body"], body, notes)
     videos: dict[str, SourceVideo] = {}
     for part in PARTS:
-        taken = source / FOLDERS[part], most, chosen.get(part), notes
+        taken = source / FOLDERS[part], most, notes
         videos[part] = _head_video(*taken) if part == "head" else _body_video(*taken, part, skeletons[part], template)
     landmarks = _landmarks(source / "face" / "tvertices_face.npy", template, skeletons["body"].origin, notes)
     facts = {"subject": source.resolve().name, "source": "totalselfscan", "light": "as filmed",
@@ -87,26 +79,22 @@ def import_totalselfscan(
     return notes
 
 
-def _frames_of(
-    path: Path, count: int, part: str, most: int, given: tuple[int, int, int] | None, notes: list[str]
-) -> Array:
-    """The frames to take: the user's choice, else the authors' where the video is as long as the authors'."""
+def _frames_of(count: int, part: str, most: int, notes: list[str]) -> Array:
+    """The frames to take: the authors' where the video is as long as the authors', else some, evenly spread."""
     start, step, number = AUTHORS_FRAMES[part]
-    if given is None and start + step * (number - 1) < count:
-        given = AUTHORS_FRAMES[part]
-    frames = chosen_frames(count, most, given, str(path))
+    whole = start + step * (number - 1) < count
+    frames = start + step * np.arange(number) if whole else spread(count, most)
     notes.append(f"{part}: {len(frames)} of {count} frames, {frames[0]} to {frames[-1]}")
     return frames
 
 
 def _body_video(
-    folder: Path, most: int, given: tuple[int, int, int] | None, notes: list[str], part: str, skeleton: AuthorsSkeleton,
-    template: TemplateMesh,
-) -> SourceVideo:  # fmt: skip
+    folder: Path, most: int, notes: list[str], part: str, skeleton: AuthorsSkeleton, template: TemplateMesh
+) -> SourceVideo:
     path = folder / "annots.npy"
     annots = record(path, "cameras and frames")
     relative = _image_names(path, annots)
-    frames = _frames_of(path, len(relative), part, most, given, notes)
+    frames = _frames_of(len(relative), part, most, notes)
     removed = _removed(folder / "frame_remove.json")
     kept = frames[[not any(start <= k < stop for start, stop in removed) for k in frames]]
     if len(kept) < len(frames):
@@ -206,7 +194,7 @@ def _check_surface(
         )
 
 
-def _head_video(folder: Path, most: int, given: tuple[int, int, int] | None, notes: list[str]) -> SourceVideo:
+def _head_video(folder: Path, most: int, notes: list[str]) -> SourceVideo:
     images = pictures_in(folder / "images")
     odd = [path.name for path in images if not path.stem.isdecimal()]
     if odd:
@@ -218,7 +206,7 @@ def _head_video(folder: Path, most: int, given: tuple[int, int, int] | None, not
             f"{path}: expected a camera for each of {len(images)} images, found "
             f"{len(cameras) if isinstance(cameras, list) else 'an array of numbers'}"
         )
-    frames = _frames_of(path, len(images), "head", most, given, notes)
+    frames = _frames_of(len(images), "head", most, notes)
     size = picture_size(images[int(frames[0])])
     chosen = []
     for k in frames.tolist():

@@ -1,6 +1,6 @@
 """Videos as filmed become a capture folder: frames chosen, person masked, body fitted, all of it in one command.
 
-What is done lies in OUT.partial until the capture is whole: the same command goes on from there.
+Frames and masks lie in OUT.partial until the capture is whole: the same command goes on with them.
 """
 
 import json
@@ -35,8 +35,8 @@ from files.whole import check_folder, whole_file
 
 # most frames whose points alone are used, and seconds from one to the next: a detector's errors last about as long
 TRACK, APART = 120, 0.1
-# what was filmed and a folder for finished steps, to the person
-Fit = Callable[[RawScan, Path], FittedScan]
+# what was filmed, to the person
+Fit = Callable[[RawScan], FittedScan]
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
     workers = min(os.cpu_count() or 1, len(jobs))
     board = ProgressBoard({part: len(kept.frames) for part, kept in chosen.items()}, workers)
     scan = RawScan(run_jobs(jobs, _prepared, board, workers))
-    fitted = fit(scan, work / "fit")
+    fitted = fit(scan)
     _write(out, scan, fitted, work, given, notes)
     shutil.rmtree(work)
     return [*notes, *fitted.notes]

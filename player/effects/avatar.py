@@ -21,7 +21,7 @@ from player.gl.texture import image_texture, mipmapped_bytes, read_finer_mip
 VIEWS = ("off", "vertex", "linear", "network")
 STAGE = {"off": 0, "vertex": 1, "linear": 2, "network": 2}
 ATTRIBUTES = ("3f4 3f4 3f4 1f4", "view_mean", "view_q0", "view_q1", "view_seen")
-SAMPLERS = ("base_color", "features", "more_features")
+SAMPLERS = ("base_color", "features")
 
 
 @dataclass(frozen=True)
@@ -88,28 +88,17 @@ def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.
     shading = shading_of(
         draft, avatar, posed, (vertices, *ATTRIBUTES), samplers=SAMPLERS, avatar=first,
         constants=lambda: avatar_constants(who), VIEW_STAGE=STAGE[mode], VIEW_MODEL=int(network),
-        VIEW_FEATURES=mesh.features.shape[2],
     )  # fmt: skip
-    textures = (base_color, *_feature_textures(draft, avatar))
+    features, number = mesh.features, draft.detail[avatar]
+    make = lambda made: image_texture(made.context, features, coarse=True)
+    size = mipmapped_bytes(features.shape)
+    textures = base_color, draft.texture(f"{draft.tag(first)} features", size, first, number, make=make)
     uses = (*draft.drawn_on, *posed.handles, vertices, *textures, *shading.handles)
     running = Decision(PassState.RUNS, why + shading.note)
     draft.views[avatar] = mode
     return AvatarPass(
         f"{tag}: view {mode}", uses, draft.layer, posed, shading, textures, running, min_height=MIN_HEIGHT
     )
-
-
-def _feature_textures(draft: Draft, avatar: int) -> list[Handle[moderngl.Texture]]:
-    """Textures that hold a level's features, four in each."""
-    features, first = draft.levels[avatar].features, draft.first(avatar)
-    assert features is not None
-    return [
-        draft.texture(
-            f"{draft.tag(first)} {name}", mipmapped_bytes(features.shape), first, draft.detail[avatar],
-            make=lambda made, four=features[..., 4 * k : 4 * k + 4]: image_texture(made.context, four, coarse=True),
-        )
-        for k, name in enumerate(("features", "more features")[: features.shape[2] // 4])
-    ]  # fmt: skip
 
 
 def resolved_view(avatar: Avatar, view: str, software: bool) -> tuple[str, str]:

@@ -16,21 +16,19 @@ import numpy as np
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
 from avatar.light import LAMPS, CaptureLight, lamps_of
-from avatar.rotation import fibonacci_sphere
 from command.progress import plural
 from command.settings import AtLeast, AtMost, FilePlace, OneOf, settings
 from player.draw.plan import Attributes, Draft, Pass, Stage
 from player.draw.resources import Handle
-from player.effects.background import Background, opened_source
+from player.effects.background import Background
 from player.effects.background_source import read_panorama
-from player.effects.panorama_light import fitted_light, gains_of, irradiance, linear_mean
+from player.effects.panorama_light import fitted_light
 from player.gl.shader import set_uniforms
 
 KINDS = ("capture", "albedo", "lamps", "panorama")
-FITS, FIRST_LAMP = ("none", "background"), (0.45, 0.65, 0.6)
+FIRST_LAMP = (0.45, 0.65, 0.6)
 ATTRIBUTES = ("3f4 2f4", "normal", "seen_light")
 VERTEX = np.dtype([("normal", "f4", 3), ("seen_light", "f4", 2)])
-FITTED_TO = (64, 64)  # pixels to which a picture behind is brought before its mean is taken
 # OpenGL looks down -z with +y up
 VIEW_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 
@@ -50,8 +48,6 @@ class Light:
         "that of `path`, or of a background of kind hdr"] = "capture"
     path: Annotated[str | None, FilePlace(),
         "of panorama (Radiance .hdr, twice as wide as high); none: the background"] = None
-    fit: Annotated[str, OneOf(FITS),
-        "background: brightness and tint of the picture, film or panorama that is behind; none: their own"] = "none"
     ambient: Annotated[float, AtLeast(0), AtMost(10), "of lamps: light from everywhere"] = 0.5
     direction: Annotated[tuple[float, float, float], "of lamps: towards the first, world, any length"] = FIRST_LAMP
     strength: Annotated[float, AtLeast(0), AtMost(10), "of lamps: the first"] = 0.8
@@ -74,8 +70,7 @@ class Light:
     def on(self, avatar: Avatar, draft: Draft) -> CaptureLight | None:
         """The light on an avatar, world; None: as its colors are, because its file has no light."""
         if self.by in ("capture", "albedo") and avatar.light is None:
-            # even light of 1 changes nothing but what is fitted
-            return None if self.fit == "none" else CaptureLight(1.0, frame="world")
+            return None
         gamma = 1.0 if avatar.light is None else avatar.light.gamma
         if self.by == "albedo":
             return CaptureLight(1.0, gamma=gamma, frame="world")
@@ -100,30 +95,6 @@ class Light:
             return behind.path, float(np.radians(behind.turn_deg))
         raise ValueError("light by panorama: expected its path, or a background of kind hdr, found neither")
 
-    def gains(self, draft: Draft) -> tuple[tuple[float, float, float], str]:
-        """What avatars' colors are multiplied by at last, and why."""
-        behind = draft.asked(Background)
-        if self.fit == "none":
-            return (1.0, 1.0, 1.0), ""
-        if behind is None or behind.path is None:
-            return (1.0, 1.0, 1.0), "; nothing behind to fit to"
-        gains = draft.keep(("gains", behind), lambda: background_gains(behind))
-        return gains, "; fitted to what is behind: times " + " ".join(f"{gain:.2f}" for gain in gains)
-
-
-def background_gains(behind: Background) -> tuple[float, float, float]:
-    """Of a picture, of the first frame of a film, or of a panorama as bright as it is shown; once for all frames."""
-    assert behind.path is not None
-    if behind.kind == "hdr":
-        shown = irradiance(read_panorama(behind.path), 0.0, fibonacci_sphere(64))
-        return gains_of(shown.mean(0) * 2.0**behind.exposure)
-    source = opened_source(behind)
-    try:
-        pixels = source.pixels(0.0, FITTED_TO)[..., :3]
-    finally:
-        source.close()
-    return gains_of(linear_mean(pixels / 255.0))
-
 
 @dataclass(frozen=True)
 class AvatarLight:
@@ -131,7 +102,6 @@ class AvatarLight:
 
     light: CaptureLight
     vertices: Handle[moderngl.Buffer]
-    gains: tuple[float, float, float]  # display values are multiplied by them at last
     explanation: str
     # whether there is a highlight in it, or in the base color that is lit
     gleams: bool
@@ -155,7 +125,7 @@ class AvatarLight:
         lamps[:, 2] = 1
         lamps[:count, :3] = light.directions @ view_from_world.T
         lamps[:count, 3], shares[:count] = light.strengths[:count], light.shares[:count]
-        set_uniforms(program, lamps=lamps, gains=self.gains, ambience=(light.ambient, light.gloss, light.exponent))
+        set_uniforms(program, lamps=lamps, ambience=(light.ambient, light.gloss, light.exponent))
         if self.gleams:
             set_uniforms(program, shares=tuple(shares.tolist()))
         if self.variant != 2:
@@ -174,11 +144,10 @@ def light_of(draft: Draft, avatar: int) -> AvatarLight | None:
     if asked is None or light is None:
         return None
     vertices = draft.vertices("light", avatar, VERTEX.itemsize, lambda: lit_interleaved(level))
-    gains, why = asked.gains(draft)
-    if draft.avatars[avatar].light is None:
-        why += "; its file has no light, its colors are taken for albedo"
+    own = draft.avatars[avatar].light is not None
+    why = "" if own else "; its file has no light, its colors are taken for albedo"
     seen = level.light is not None and bool(np.any(level.light[:, 1]))
-    return AvatarLight(light, vertices, gains, why, gleams=seen or light.gloss > 0)
+    return AvatarLight(light, vertices, why, gleams=seen or light.gloss > 0)
 
 
 def light_note(draft: Draft, avatar: int, light: AvatarLight | None) -> str:

@@ -1,5 +1,4 @@
-"""The light of a panorama on a matt surface, as ambient and a few lamps; and what a picture behind says of brightness
-and tint.
+"""The light of a panorama on a matt surface, as ambient and a few lamps.
 
     E(n) / pi = 1 / pi  integral over all directions of L(w) max(n . w, 0)
 
@@ -19,10 +18,6 @@ from avatar.rotation import fibonacci_sphere
 ROWS, NORMALS = 32, 256  # rows of the panorama that are added up, and normals that are asked
 # a lamp that leaves more than this share of what was left before is none
 WORTH = 0.9
-# linear light that a picture of even brightness has in its middle
-MIDDLE_GREY = 0.18
-# the range of brightness and tint, in display values
-GAINS = (0.5, 2.0)
 DISPLAY = 2.2
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -77,20 +72,3 @@ def fitted_light(panorama: Float[Array, "height width 3"], turn: float, *, gamma
         left, strengths = best[0], best[2]
         chosen.append(best[1])
     return CaptureLight(float(strengths[0]), lamps_of(normals[chosen], strengths[1:]), gamma=gamma, frame="world")
-
-
-def gains_of(mean: Float[Array, "3"]) -> tuple[float, float, float]:
-    """What display values are multiplied by so that an avatar suits a picture whose mean linear light is this.
-
-    A grey world (Buchsbaum 1980) would divide by middle grey; half of that, as the square root, since a picture's mean
-    is its paint's as much as its light's. Within GAINS.
-    """
-    linear = np.sqrt(np.maximum(mean, 1e-6) / MIDDLE_GREY)
-    red, green, blue = np.clip(linear ** (1 / DISPLAY), *GAINS).tolist()
-    return red, green, blue
-
-
-def linear_mean(pixels: Float[Array, "height width 3"]) -> Float[Array, "3"]:
-    """Mean linear light of sRGB values in [0, 1] (IEC 61966-2-1)."""
-    values = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4)
-    return values.reshape(-1, 3).mean(0)

@@ -69,16 +69,10 @@ class RenderCommand:
         "view mode and mesh are the most exact whose frames take no longer (p95), as measured on this machine once and "
         "kept; or 120fps"] = None
     level: Annotated[int | None, TIME.rare, AtLeast(0), AtMost(99), "level of detail, 0 the finest"] = None
-    level_by_size: Annotated[bool, TIME.rare,
-        "each avatar at the coarsest level that does for its largest size in the film, none finer than --level"] = False
     body: Annotated[arguments.BodyOption, WHO.rare] = None
     hands: Annotated[arguments.HandsOption, WHO.rare] = "file"
     ground: Annotated[arguments.GroundOption, WHO.rare] = "auto"
-    encoder: Annotated[str, FILM.rare, Option(metavar="auto|software|NAME"),
-        "of .mp4: auto takes the GPU's if it really encodes a frame, else x264"] = "auto"
     resume: Annotated[bool, FILM.rare, "go on with the parts that an earlier run of this film left"] = False
-    part: Annotated[tuple[int, int] | None, FILM.rare, Option(metavar="K/N", parse=arguments.parse_share),
-        "draw only the Kth of N shares of the film; --resume then joins them"] = None
     workers: Annotated[str | None, FILM.rare, Option(metavar="ADDRESS|N", parse=arguments.parse_workers),
         "draw on a Dask cluster, or on N processes of this machine"] = None
     context: Annotated[str, MACHINE.rare, OneOf(("auto", "egl", "osmesa")), "how to reach OpenGL"] = "auto"
@@ -99,17 +93,16 @@ class RenderCommand:
 
     def __post_init__(self):
         arguments.parse_quality(self.quality)
-        picture, shared = film_kind(self.output) == ".png", bool(self.part or self.workers)
+        picture = film_kind(self.output) == ".png"
         own = self.motion or self.body or (self.hands, self.ground) != ("file", "auto")
         refusals = {
             "give --budget or --quality": self.budget is not None and self.quality != "good",
             "--budget and --quality 0..1 ask this machine: for several, give --view and --level":
-                self.measured and shared,
+                self.measured and self.workers,
             "--json writes what --explain finds: give both": self.json and not self.explain,
             "a .png holds one frame: give --frame N, or another OUT": picture and self.frames,
             "--rate is of a film; a .png holds one frame": picture and self.rate,
-            "--part and --workers share the frames of a film; a .png holds one": picture and shared,
-            "give --part or --workers": self.part and self.workers,
+            "--workers share the frames of a film; a .png holds one": picture and self.workers,
             "--explain asks the context that drew: leave --workers out": self.explain and self.workers,
             "give AVATAR or --scene, one of them": bool(self.scene) == bool(self.avatar),
             "--motion, --body, --hands and --ground are in the scene file": self.scene and own,

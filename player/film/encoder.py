@@ -1,4 +1,4 @@
-"""Video encoders: which one a film uses, and frames into one closed part of a video file.
+"""Video encoders: which one a film of each kind uses, and frames into one closed part of a video file.
 
 A part begins with a fresh encoder, so it starts with a key frame, refers to nothing outside and comes out the same
 whether the frames before it were encoded just now, yesterday or on another machine. A film is its parts, joined
@@ -9,12 +9,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import av
 import numpy as np
-from av.codec.codec import UnknownCodecError
-from av.error import FFmpegError
 from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc, Interpolation, VideoReformatter
 from jaxtyping import UInt8
 
@@ -54,82 +52,16 @@ class Encoder:
 # without macroblock trees: x264 165 sums them with AVX-512 so that one film, encoded twice, differs (seen at 64x64 to
 # 320x240); on other processors they would differ by rounding. At the same PSNR the file is 8 % larger
 X264 = Encoder("libx264", "yuv420p", (("preset", "veryfast"), ("mbtree", "0")), ("crf", 29, 20, 14))
-# the encoders of graphics processors, in the order they are tried, at about the quality of x264 beside them
-HARDWARE = (
-    Encoder("h264_nvenc", "yuv420p", (("preset", "p4"), ("rc", "vbr"), ("b", "0")), ("cq", 29, 19, 13)),
-    Encoder("h264_videotoolbox", "yuv420p", (), ("q", 45, 70, 85)),
-    Encoder("h264_qsv", "nv12", (), ("global_quality", 29, 19, 13)),
-    Encoder("h264_vaapi", "nv12", (), ("qp", 29, 19, 13)),
-    Encoder("h264_amf", "nv12", (("rc", "cqp"), ("qp_i", "18")), ("qp_p", 30, 20, 14)),
-)
 VP9 = (("b", "0"), ("deadline", "realtime"), ("cpu-used", "6"), ("auto-alt-ref", "0"))
 PRORES = (("profile", "4444"),)
-# ending and whether it holds alpha
-OTHERS = {
+# by ending and whether it holds alpha
+ENCODERS = {
+    (".mp4", False): X264,
     (".webm", False): Encoder("libvpx-vp9", "yuv420p", VP9, ("crf", 36, 24, 14)),
     (".webm", True): Encoder("libvpx-vp9", "yuva420p", VP9, ("crf", 36, 24, 14)),
     (".mov", False): Encoder("prores_ks", "yuv444p10le", PRORES),
     (".mov", True): Encoder("prores_ks", "yuva444p10le", PRORES),
 }
-
-
-def chosen_encoder(kind: str, wanted: str, size: tuple[int, int], *, alpha: bool = False) -> tuple[Encoder, list[str]]:
-    """The encoder of a film of this kind, and a line on each one that was tried and refused.
-
-    wanted is "auto" (a graphics processor's encoder if one really encodes a frame of this size, else software),
-    "software", or FFmpeg's name of an H.264 encoder; only .mp4 has a choice.
-
-    Raises:
-        AssetError: the encoder named is not known or does not encode here.
-    """
-    if kind != ".mp4":
-        encoder = OTHERS[(kind, alpha)]
-        if wanted not in ("auto", "software", encoder.name):
-            raise AssetError(f"--encoder {wanted}: {kind} is encoded by {encoder.name}")
-        return encoder, []
-    if wanted == "software":
-        return X264, []
-    known = {encoder.name: encoder for encoder in (*HARDWARE, X264)}
-    if wanted != "auto":
-        if wanted not in known:
-            raise AssetError(f"--encoder {wanted}: should be auto, software or one of {', '.join(known)}")
-        refused = refusal(known[wanted], size)
-        if refused is not None:
-            raise AssetError(f"--encoder {wanted} does not encode here: {refused}")
-        return known[wanted], []
-    tried = []
-    for encoder in HARDWARE:
-        refused = refusal(encoder, size)
-        if refused is None:
-            return encoder, tried
-        tried.append(f"{encoder.name}: {refused}")
-    return X264, tried
-
-
-def refusal(encoder: Encoder, size: tuple[int, int]) -> str | None:
-    """Why an encoder does not encode two frames of this size here; None: it does.
-
-    Only encoding shows it: drivers list encoders that the chip beneath has not (H100 has no NVENC).
-    """
-    try:
-        context: Any = av.CodecContext.create(encoder.name, "w")
-    except UnknownCodecError:
-        return "not in this FFmpeg"
-    try:
-        context.width, context.height = padded_size(size)
-        context.pix_fmt, context.options = encoder.pixel_format, encoder.at("good")
-        context.time_base, context.framerate = Fraction(1, 30), Fraction(30)
-        packets = []
-        for number in range(2):
-            frame = av.VideoFrame(context.width, context.height, encoder.pixel_format)
-            for plane in frame.planes:
-                plane.update(bytes([128]) * plane.buffer_size)
-            frame.pts, frame.time_base = number, context.time_base
-            packets += context.encode(frame)
-        packets += context.encode(None)
-    except (FFmpegError, ValueError, OSError) as error:
-        return str((error.strerror if isinstance(error, OSError | FFmpegError) else None) or error)
-    return None if sum(packet.size for packet in packets) > 0 else "it encodes nothing"
 
 
 def padded_size(size: tuple[int, int]) -> tuple[int, int]:

@@ -47,18 +47,23 @@ def film_kind(path: Path | str) -> str:
 class Film:
     """A film being written: `with Film(path, rate) as film: film.add(image)`. Appears whole or not at all.
 
-    encoder is what `player.film.encoder.chosen_encoder` takes; quality is draft, good or best. `pieces` are files
-    and the number of frames of each, to be written one after the other instead of one file at `path`.
+    quality is draft, good or best. `pieces` are files and the number of frames of each, to be written one after the
+    other instead of one file at `path`.
     """
 
     def __init__(
-        self, path: Path | str, rate: float, *, transparent: bool = False, encoder: str = "auto", quality: str = "good",
+        self,
+        path: Path | str,
+        rate: float,
+        *,
+        transparent: bool = False,
+        quality: str = "good",
         pieces: Sequence[tuple[Path, int]] = (),
-    ):  # fmt: skip
+    ):
         if not (np.isfinite(rate) and rate > 0):
             raise ValueError(f"rate should be positive frames per second, is {rate}")
         self.path, self.kind, self.rate, self.transparent = Path(path), film_kind(path), rate, transparent
-        self.encoder, self.quality, self.pieces = encoder, quality, pieces
+        self.quality, self.pieces = quality, pieces
         self.frames = 0
         self.notes: list[str] = []
         self._queue: queue.Queue[Frame | None] = queue.Queue(WAITING)
@@ -179,7 +184,7 @@ class Film:
 
     def _video(self, file: IO[bytes], kind: str, first: Frame, frames: Iterable[Frame]) -> None:
         # only a film needs it
-        from player.film.encoder import chosen_encoder, encode, padded_size
+        from player.film.encoder import ENCODERS, encode, padded_size
 
         alpha = self.transparent and kind in ALPHA
         size = (first.shape[1], first.shape[0])
@@ -187,7 +192,7 @@ class Film:
             self.note(f"{kind} holds no transparency: the background is black")
         if padded_size(size) != size:
             self.note(f"{size[0]}x{size[1]} padded to even numbers, as video needs")
-        encoder, _tried = chosen_encoder(kind, self.encoder, size, alpha=alpha)
+        encoder = ENCODERS[kind, alpha]
         self.note(f"encoded by {encoder.name}")
         images = chain([first], frames)
         encode(file, kind, encoder, map(straight, images) if alpha else images, size, self.rate, self.quality)

@@ -47,11 +47,6 @@ class Parts:
         first = range(self.start - self.start % LENGTH, self.stop, LENGTH)
         return [(max(a, self.start), min(a + LENGTH, self.stop)) for a in first]
 
-    def share(self, number: int, count: int) -> list[tuple[int, int]]:
-        """The parts of the `number`th (from 1) of `count` machines: runs of neighbours, as even as they go."""
-        ranges = self.ranges
-        return ranges[len(ranges) * (number - 1) // count : len(ranges) * number // count]
-
     def piece(self, part: tuple[int, int]) -> tuple[Path, int]:
         """Where a part is kept, and its number of frames. What is no video is kept as PNG frames."""
         kind = film_kind(self.out)

@@ -19,8 +19,6 @@ from player.budget.ladder import choice_words
 from player.budget.measure import BudgetScene
 from player.budget.rung import Rung
 from player.budget.table import rung_within
-from player.draw.detail import level_for
-from player.draw.posing import Poser, screen_bounds
 from player.film.command import RenderCommand
 from player.film.film import VIDEO, film_kind, join_pieces
 from player.film.parts import LENGTH, Parts
@@ -29,7 +27,6 @@ from player.film.stage import Fit, Stage, camera_from_option
 from player.gl.context import Context, open_context
 from player.scene.arguments import with_effects, with_options
 from player.scene.effects import Effects
-from player.scene.framing import evenly
 from player.scene.motions import frame_range
 from player.scene.renderer import Renderer
 from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera, side_by_side
@@ -37,8 +34,6 @@ from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera, side_by
 # 3,000 triangles of a baked avatar: coarser levels are for people far away
 DRAFT_LEVEL = 2
 BUDGET_FRAMES = 4  # frames of a film that a budget is measured on
-# frames of a film in which avatars are measured, to choose their levels of detail
-SIZED_FRAMES = 64
 FASTEST = 60.0  # frames a second of a film, unless more are asked for
 
 
@@ -55,8 +50,7 @@ def render(command: RenderCommand) -> None:
     # while files are read and unpacked, the driver wakes up; both are work outside of Python
     with ThreadPoolExecutor(1) as pool:
         # what a budget buys may be any of them
-        every_level = command.measured or scene.level_by_size
-        reading = pool.submit(Stage, scene, None if every_level else level_of(command) + 1)
+        reading = pool.submit(Stage, scene, None if command.measured else level_of(command) + 1)
         context = None if command.workers else open_context(command.context, command.gpu)
         try:
             try:
@@ -89,12 +83,11 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
     if command.measured:
         assert context is not None, "workers are refused with a budget"
         rung = buy_rung(command, stage, context, fit, start, stop)
-    detail = detail_by_size(stage, fit, start, stop, rung.level) if stage.scene.level_by_size else None
     shot = Shot(
-        stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, rung, detail,
-        command.encoder, "good" if command.share is not None else command.quality, command.context, command.gpu,
+        stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, rung,
+        "good" if command.share is not None else command.quality, command.context, command.gpu,
     )  # fmt: skip
-    shared = bool(command.resume or command.part or command.workers)
+    shared = bool(command.resume or command.workers)
     if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
         film_at_once(command, shot, stage, context)
     else:
@@ -119,26 +112,6 @@ def buy_rung(command: RenderCommand, stage: Stage, context: Context, fit: Fit | 
     stage.notes.append(choice_words(chosen, priced, command.budget))
     stage.scene = replace(scene, effects=replace(scene.effects, view=chosen.rung.view))
     return chosen.rung
-
-
-def detail_by_size(stage: Stage, fit: Fit | None, start: int, stop: int, finest: int) -> tuple[int, ...]:
-    """The level of detail of each avatar: what its largest size in the film calls for (player/draw/detail.py), in some
-    frames spread over it."""
-    size, heights = stage.size(), [0.0] * len(stage.avatars)
-    camera_at = stage.camera_at(fit, start, stop, size)
-    posers = {id(avatar): Poser(avatar, avatar.levels[0]) for avatar in stage.avatars}
-    for frame in (start + evenly(stop - start, SIZED_FRAMES)).tolist():
-        poses = stage.poses(frame)
-        camera = camera_at(frame, poses[0][1]).resized(size)
-        for index, (avatar, pose) in enumerate(zip(stage.avatars, poses, strict=True)):
-            bounds = screen_bounds(posers[id(avatar)].posed(*pose, camera), camera)
-            if bounds.shows(camera):
-                heights[index] = max(heights[index], float(bounds.box[3] - bounds.box[1]))
-    detail = tuple(level_for(who, height, finest) for who, height in zip(stage.avatars, heights, strict=True))
-    triangles = sum(len(avatar.level(number).faces) for avatar, number in zip(stage.avatars, detail, strict=True))
-    all_of_them = sum(len(avatar.level(finest).faces) for avatar in stage.avatars)
-    stage.notes.append(f"levels of detail by size: {triangles} triangles of {all_of_them}")
-    return detail
 
 
 def at_rate(command: RenderCommand, stage: Stage, start: int, stop: int) -> tuple[int, int]:
@@ -185,7 +158,7 @@ def scene_of(command: RenderCommand) -> Scene:
         camera = replace((scene.cameras or (SceneCamera(),))[0], seconds=command.seconds)
         scene = replace(scene, cameras=(camera,))
     effects = with_effects(scene.effects, command.effects)
-    return with_options(scene, effects, command.size, command.background, command.level_by_size)
+    return with_options(scene, effects, command.size, command.background)
 
 
 def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Effects:
@@ -211,21 +184,10 @@ def film_at_once(command: RenderCommand, shot: Shot, stage: Stage, context: Cont
 def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
     """Draw the parts that are missing, here or on a cluster, and join them when all are there."""
     path = Path(command.output)
-    kind = film_kind(path)
-    tried: list[str] = []
-    # chosen once, or two machines might choose differently
-    if kind in VIDEO:
-        from player.film.encoder import chosen_encoder
-
-        alpha = shot.transparent and kind != ".mp4"
-        encoder, tried = chosen_encoder(kind, shot.encoder, shot.size, alpha=alpha)
-        shot = replace(shot, encoder=encoder.name)
     shot = replace(shot, scene=with_whole_paths(shot.scene))
     parts = Parts(path, shot.start, shot.stop, shot.identity())
-    parts.begin(resume=command.resume or command.part is not None)
-    wanted = parts.share(*command.part) if command.part else parts.ranges
-    missing = [part for part in parts.missing() if part in wanted]
-    total = sum(b - a for a, b in wanted)
+    parts.begin(resume=command.resume)
+    missing, total = parts.missing(), shot.stop - shot.start
     present = total - sum(b - a for a, b in missing)
     if present:
         print(f"{present} of {plural(total, 'frame')} {'is' if present == 1 else 'are'} in {parts.folder}")
@@ -249,11 +211,6 @@ def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Con
             parts.discard()
         raise
     print_notes(stage, notes)
-    left = parts.missing()
-    if command.part and left:
-        print(f"{parts.folder}: share {command.part[0]} of {command.part[1]} is there, {len(left)} of "
-              f"{len(parts.ranges)} parts are missing; --resume joins them")  # fmt: skip
-        return
     join_pieces(list(map(parts.piece, parts.ranges)), path, shot.rate)
     parts.discard()
     print_result(shot, path, f"in {plural(len(parts.ranges), 'part')}, written in {time.perf_counter() - began:.1f} s")

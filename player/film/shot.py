@@ -42,9 +42,6 @@ class Shot:
     hold: int | None = None  # the frame that a turntable holds still
     # what is drawn of the avatars: level of detail, textures, joints
     rung: Rung = FULL
-    # the level of detail of each avatar, where they differ: by their sizes in the film
-    detail: tuple[int, ...] | None = None
-    encoder: str = "auto"
     quality: str = "good"
     context: str = "auto"
     gpu: int | str | None = None
@@ -71,9 +68,8 @@ class Shot:
             "size": self.size,
             "rate": self.rate,
             "hold": self.hold,
-            "detail": self.detail,
             "rung": [self.rung.level, self.rung.halvings, self.rung.joints],
-            "encoder": f"{self.encoder} of PyAV {av.__version__}",
+            "encoder": f"PyAV {av.__version__}",
             "quality": self.quality,
         }
 
@@ -89,7 +85,7 @@ class ShotRenderer:
     def __init__(self, shot: Shot, stage: Stage | None = None, context: Context | None = None):
         self.shot = shot
         if stage is None:
-            stage = Stage(shot.scene, max((shot.rung.level, *(shot.detail or ()))) + 1)
+            stage = Stage(shot.scene, shot.rung.level + 1)
             if shot.hold is not None:
                 stage.hold(shot.hold)
         self.stage = stage
@@ -103,7 +99,7 @@ class ShotRenderer:
             with deferred_stop(patience=0) as stop:
                 self.renderer = Renderer(
                     self.context, shot.rung.prepared(stage.avatars), shot.size, effects=shot.scene.effects,
-                    background=shot.scene.background, level=shot.rung.level if shot.detail is None else shot.detail,
+                    background=shot.scene.background, level=shot.rung.level,
                 )  # fmt: skip
             stop.check()
         except ValueError as error:
@@ -145,7 +141,7 @@ class ShotRenderer:
         """Draw these frames into a film, or into pieces of one; the film, written."""
         shot = self.shot
         with deferred_stop(patience=0) as stop, Film(
-            path, shot.rate, transparent=shot.transparent, encoder=shot.encoder, quality=shot.quality, pieces=pieces
+            path, shot.rate, transparent=shot.transparent, quality=shot.quality, pieces=pieces
         ) as film:  # fmt: skip
             for frame in frames:
                 canvas = film.canvas(shot.size)

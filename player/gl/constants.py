@@ -24,34 +24,21 @@ def constructor(kind: str, values: Float[np.ndarray, "n"]) -> str:
 
 
 def network_constants(network: ViewNetwork, amplitude: float) -> str:
-    """Constants for view_network.glsl (4 features) or view_network_high.glsl (8).
-
-    Matrices are cut into 4x4 blocks: of layer 1 by features (W1_F, of eight the second four are W1_G) and
-    [t', |t'|] (W1_T) for four hidden units each; of the layer between two hidden ones W2_ij takes hidden units
-    4j .. 4j + 3 of the first to 4i .. 4i + 3 of the second.
-    """
+    """Constants for view_network.glsl: matrices cut into 4x4 blocks, of layer 1 by features (W1_F) and [t', |t'|]
+    (W1_T), for four hidden units each."""
     lines = [f"const float AMPLITUDE = {literal(float(amplitude))};"]
-    inputs = {"F": network.w1[:, :4], "T": network.w1[:, -4:]}
-    if network.features == 8:
-        inputs["G"] = network.w1[:, 4:8]
     for block in range(4):
         four = slice(4 * block, 4 * block + 4)
-        for name, columns in inputs.items():
+        for name, columns in (("F", network.w1[:, :4]), ("T", network.w1[:, 4:])):
             lines.append(f"const mat4 W1_{name}{block} = {constructor('mat4', columns[four].T.ravel())};")
         lines.append(f"const vec4 B1_{block} = {constructor('vec4', network.b1[four])};")
-        if network.features == 8:
-            for other in range(4):
-                between = network.w2[four, 4 * other : 4 * other + 4]
-                lines.append(f"const mat4 W2_{block}{other} = {constructor('mat4', between.T.ravel())};")
-            lines.append(f"const vec4 B2_{block} = {constructor('vec4', network.b2[four])};")
-        last = network.layers[-1][0][:, four]
-        lines.append(f"const mat4x3 WY_{block} = {constructor('mat4x3', last.T.ravel())};")
-    lines.append(f"const vec3 BY = {constructor('vec3', network.layers[-1][1])};")
+        lines.append(f"const mat4x3 WY_{block} = {constructor('mat4x3', network.w2[:, four].T.ravel())};")
+    lines.append(f"const vec3 BY = {constructor('vec3', network.b2)};")
     return "\n".join(lines) + "\n"
 
 
-def linear_constants(linear: Float[np.ndarray, "features 3 3"]) -> str:
-    """Constants for view_linear.glsl (4 features) or view_linear_high.glsl (8): M_i, which multiply column vectors."""
+def linear_constants(linear: Float[np.ndarray, "4 3 3"]) -> str:
+    """Constants for view_linear.glsl: M_i, which multiply column vectors."""
     lines = [f"const mat3 LINEAR_{i} = {constructor('mat3', M.T.ravel())};" for i, M in enumerate(linear)]
     return "\n".join(lines) + "\n"
 

@@ -16,7 +16,7 @@ from avatar.hull import body_hull
 from avatar.motion.clip import Motion, builtin_skeleton, fitted
 from avatar.motion.ground import on_ground
 from avatar.motion.read import read_motion
-from command.command_line import Help, Option, number, parse
+from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.settings import AtLeast, AtMost
 from player.live import json_pose
@@ -28,7 +28,6 @@ from player.scene.arguments import LIVE
 from player.scene.motions import BLOCK
 
 FASTEST = 1000.0  # frames a second
-LONGEST_BUFFER = 1000  # milliseconds
 # seconds; a sender that was stopped for longer goes on from now instead of hurrying
 CATCH_UP = 1.0
 
@@ -56,14 +55,6 @@ def _address(text: str, kinds: tuple[str, ...]) -> Address:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def milliseconds(text: str) -> float:
-    """Seconds of a text in milliseconds."""
-    value = number(text)
-    if not 0 <= value <= LONGEST_BUFFER:
-        raise argparse.ArgumentTypeError(f"expected 0 to {LONGEST_BUFFER} ms, found {text!r}")
-    return value / 1000
-
-
 @dataclass(frozen=True)
 class LiveCommand:
     """The live poses of `selfscan play`."""
@@ -73,14 +64,10 @@ class LiveCommand:
         "HOST:PORT names another interface (0.0.0.0: all)"] = None
     smooth: Annotated[float | None, LIVE.rare, AtLeast(0.01), AtMost(1000), Option(metavar="HZ", const=LEAST),
         f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})"] = None
-    buffer: Annotated[float | None, LIVE.rare, Option(metavar="MS", parse=milliseconds),
-        "show poses MS late, evenly, instead of the newest as it comes"] = None
     calibrate: Annotated[float | None, LIVE.rare, AtLeast(0), AtMost(3600), Option(metavar="S"),
         "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)"] = None
     record: Annotated[str | None, LIVE.rare, Option(metavar="FILE.npz"),
         "write what came as an AMASS pose file at the end"] = None
-    latency: Annotated[str | None, LIVE.rare, Option(metavar="FILE.csv"),
-        "write when each pose was sent, received, applied, drawn"] = None
 
 
 @dataclass(frozen=True)

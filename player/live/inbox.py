@@ -1,35 +1,26 @@
-"""Where frames wait between the network and the window: the newest one, or a short buffer that evens out jitter.
+"""Where the newest frame waits between the network and the window.
 
 Times. `received` is this machine's monotonic clock. A pose's own `time` follows the sender's clock from a common
 start, so that its steps are the sender's and not the network's; where the sender has no clock, or sets it back, it
-follows `received`. The buffer plays at
-
-    now - lag - delay,    lag = the smallest received - time of late (it may grow by 1 ms a second)
-
-so a frame that takes up to `delay` longer than the quickest ones is shown at its right time.
+follows `received`. A take is made of them.
 """
 
 import threading
-from bisect import bisect_right
 from collections import deque
 from typing import NamedTuple
 
-import numpy as np
-
 from player.live.calibration import calibrated, identity_calibration, pose_from_rig
-from player.live.frame import Counters, LiveFrame, LivePose, between
+from player.live.frame import Counters, LiveFrame, LivePose
 from player.live.json_pose import LARGEST as LARGEST_JSON
 from player.live.json_pose import JsonDecoder, JsonPose
 from player.live.osc import LARGEST as LARGEST_OSC
 from player.live.take import Take
 from player.live.vmc import VmcDecoder, VmcState, rig_from_state
 
-MOST_WAITING = 512  # frames; two seconds at 240 a second
 # seconds; float32 clocks step by 1 ms from here on, so arrival is the better clock
 COARSE = 8192.0
 # seconds; a sender's clock that jumps by more against ours is started anew
 JUMP = 1.0
-DRIFT = 1e-3  # seconds a second, by which lag may grow
 SILENT = 1.0  # seconds without a datagram
 
 
@@ -47,22 +38,18 @@ class SourceStatus(NamedTuple):
 class Inbox:
     """Takes datagrams from a thread, gives poses to another. Memory does not grow."""
 
-    def __init__(self, kind: str, *, delay: float | None = None, take: Take | None = None):
+    def __init__(self, kind: str, *, take: Take | None = None):
         self.lock = threading.Lock()
         self.arrived = threading.Condition(self.lock)
         self.vmc = VmcDecoder() if kind == "vmc" else None
         self.json = JsonDecoder()
         self.largest = LARGEST_OSC if self.vmc else LARGEST_JSON
         self.counters = Counters()
-        self.delay, self.take = delay, take
+        self.take = take
         self.calibration = identity_calibration()
         self.newest: LiveFrame | None = None
-        # by time; only for the buffer
-        self.waiting: deque[LiveFrame] = deque(maxlen=MOST_WAITING)
         self.arrivals: deque[float] = deque(maxlen=64)
         self.start: tuple[float, float] | None = None  # sender's clock and ours at a common moment
-        self.lag = np.inf
-        self.lag_at = 0.0
 
     def feed(self, data: bytes | str, received: float | int) -> None:
         """Take a datagram that arrived at `received`. Nothing in it can make this fail."""
@@ -79,11 +66,8 @@ class Inbox:
                 return
             found = self.json.decode(data, received, self.counters)
             if found is not None:
-                pose, late, restarted = found
-                if not late:
-                    self._accept(pose, pose.time, received, True, restarted)
-                elif self.delay is not None and self.waiting:
-                    self._insert_late(pose, received)
+                pose, restarted = found
+                self._accept(pose, pose.time, received, True, restarted)
 
     def oversize(self) -> None:
         """Count a message that was too large to be handed over."""
@@ -97,8 +81,6 @@ class Inbox:
         last = self.newest
         if restarted:
             self.start = None
-            self.waiting.clear()
-            self.lag = np.inf
         if begins or last is None:
             self.counters.frames += 1
             self.arrivals.append(received)
@@ -106,13 +88,7 @@ class Inbox:
             time = self._time(sent, received)
         else:
             time = last.time
-        frame = LiveFrame(content, received, sent, time, self.counters.frames)
-        self.newest = frame
-        if self.delay is not None:
-            if not begins and self.waiting:
-                self.waiting.pop()
-            self.waiting.append(frame)
-            self._follow_lag(frame)
+        self.newest = LiveFrame(content, received, sent, time, self.counters.frames)
         self.arrived.notify_all()
 
     def _time(self, sent: float | None, received: float | int) -> float:
@@ -121,22 +97,8 @@ class Inbox:
         if sent is not None and not (self.vmc is not None and abs(sent) > COARSE):
             if self.start is None or abs((received - self.start[1]) - (sent - self.start[0])) > JUMP:
                 self.start = (float(sent), float(received))
-                self.lag = np.inf
             time = self.start[1] + (sent - self.start[0])
         return max(time, self.newest.time) if self.newest is not None else time
-
-    def _insert_late(self, pose: JsonPose, received: float | int) -> None:
-        """A late pose still has its place in the buffer."""
-        if self.start is None:
-            return
-        time = self.start[1] + (pose.time - self.start[0])
-        at = bisect_right([frame.time for frame in self.waiting], time)
-        if 0 < at < len(self.waiting) and len(self.waiting) < MOST_WAITING:
-            self.waiting.insert(at, LiveFrame(pose, received, pose.time, time, self.waiting[at].number))
-
-    def _follow_lag(self, frame: LiveFrame) -> None:
-        grown = self.lag + DRIFT * max(frame.received - self.lag_at, 0.0)
-        self.lag, self.lag_at = min(grown, frame.received - frame.time), frame.received
 
     def _record(self) -> None:
         """Give the frame that is complete now to the take."""
@@ -180,25 +142,11 @@ class Inbox:
             self.calibration = calibrated(rig_from_state(self.newest.content))
             return True
 
-    def sample(self, now: float | int) -> tuple[LiveFrame, LivePose] | None:
-        """The pose to show now, and the frame it comes from (in the buffer: the nearer later one). None: none yet."""
+    def sample(self) -> tuple[LiveFrame, LivePose] | None:
+        """The newest frame and its pose. None: none yet."""
         with self.lock:
             newest = self.newest
-            if newest is None:
-                return None
-            if self.delay is None or len(self.waiting) < 2:
-                before = after = newest
-                at = newest.time
-            else:
-                at = now - self.lag - self.delay
-                while len(self.waiting) > 2 and self.waiting[1].time <= at:
-                    self.waiting.popleft()
-                before, after = self.waiting[0], self.waiting[1]
-        if after.time <= before.time or at >= after.time:
-            return after, self.pose(after)
-        if at <= before.time:
-            return before, self.pose(before)
-        return after, between(self.pose(before), self.pose(after), (at - before.time) / (after.time - before.time))
+        return None if newest is None else (newest, self.pose(newest))
 
     def facts(self, now: float | int) -> SourceStatus:
         with self.lock:

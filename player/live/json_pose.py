@@ -108,10 +108,8 @@ class JsonDecoder:
         self.recent: deque[tuple[int, float]] = deque(maxlen=2 * REORDERED)
         self.late_in_a_row = 0
 
-    def decode(
-        self, data: bytes | str, received: float | int, counters: Counters
-    ) -> tuple[JsonPose, bool, bool] | None:
-        """The pose, whether it is late (older than the newest), and whether the sender has restarted; or None."""
+    def decode(self, data: bytes | str, received: float | int, counters: Counters) -> tuple[JsonPose, bool] | None:
+        """The pose, and whether the sender has restarted; None where it is not used: the counters say why."""
         try:
             pose = parse_pose(data)
         except PoseError:
@@ -128,24 +126,23 @@ class JsonDecoder:
         if (pose.sequence, pose.time) in self.recent:
             counters.duplicate += 1
             return None
-        late = False
+        self.recent.append((pose.sequence, pose.time))
         if self.newest is not None:
             ahead = pose.sequence - self.newest
             if -REORDERED <= ahead < 0 and self.late_in_a_row < REORDERED // 2:
-                late = True
                 counters.late += 1
                 # it was counted as lost when its follower came
                 counters.lost = max(counters.lost - 1, 0)
                 self.late_in_a_row += 1
-            elif ahead < 0 or ahead > 1_000_000:
+                return None
+            if ahead < 0 or ahead > 1_000_000:
                 restarted = True
                 self._begin(pose.sender)
+                self.recent.append((pose.sequence, pose.time))
             else:
                 counters.lost += ahead - 1
-        if not late:
-            self.newest, self.late_in_a_row = pose.sequence, 0
-        self.recent.append((pose.sequence, pose.time))
-        return pose, late, restarted
+        self.newest, self.late_in_a_row = pose.sequence, 0
+        return pose, restarted
 
     def _begin(self, sender: str) -> None:
         self.sender, self.newest, self.late_in_a_row = sender, None, 0

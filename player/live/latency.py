@@ -1,24 +1,18 @@
-"""How late a pose is: sent, received, applied, drawn; percentiles for the screen and a CSV row a frame.
+"""How late a pose is: sent, received, applied, drawn; percentiles for the screen.
 
 Sent is on the sender's clock. Where that is Unix time of this machine (our JSON), sent to received is what it
-says; elsewhere the two clocks share no start, and it is counted from the quickest datagram so far, marked
-"relative". Applied is when the pose was taken for drawing, drawn when the buffers were swapped.
+says; elsewhere the two clocks share no start, and it is counted from the quickest datagram so far. Applied is when the
+pose was taken for drawing, drawn when the buffers were swapped.
 """
 
 import time
 from collections import deque
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from files.whole import whole_file
 from player.live.frame import LiveFrame
 
-HEADER = (
-    "frame,sent_s,received_s,applied_s,drawn_s,sent_clock,sent_to_received_ms,received_to_applied_ms,"
-    "applied_to_drawn_ms,received_to_drawn_ms\n"
-)
 DRAWN = "received to drawn"
 SPANS = ("sent to received", "received to applied", DRAWN)
 KEPT = 2048  # frames, for the percentiles
@@ -36,17 +30,13 @@ class Percentiles(NamedTuple):
 
 
 class Latency:
-    """Stamps of the frames that were drawn. With a path, every frame is a row of a CSV, written when closed."""
+    """Stamps of the frames that were drawn."""
 
-    def __init__(self, path: Path | str | None = None):
+    def __init__(self):
         self.spans: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
         self.quickest = np.inf
         self.last = -1
         self.pending: tuple[LiveFrame, float] | None = None
-        self.file = whole_file(Path(path), "w") if path is not None else None
-        self.rows = self.file.__enter__() if self.file else None
-        if self.rows:
-            self.rows.write(HEADER)
 
     def applied(self, frame: LiveFrame, now: float | int) -> None:
         """The frame goes into the picture that is drawn next; only its first time counts."""
@@ -58,30 +48,23 @@ class Latency:
         if self.pending is None:
             return
         (frame, applied), self.pending = self.pending, None
-        clock, travelled = self._travel(frame)
-        self.spans.append((travelled, applied - frame.received, now - frame.received))
-        if self.rows:
-            sent = "" if frame.sent is None else f"{frame.sent:.6f}"
-            spans = [travelled, applied - frame.received, now - applied, now - frame.received]
-            columns = [f"{1000 * span:.3f}" if np.isfinite(span) else "" for span in spans]
-            stamps = [f"{stamp:.6f}" for stamp in (frame.received, applied, now)]
-            self.rows.write(",".join([str(frame.number), sent, *stamps, clock, *columns]) + "\n")
+        self.spans.append((self._travel(frame), applied - frame.received, now - frame.received))
 
-    def _travel(self, frame: LiveFrame) -> tuple[str, float]:
-        """The clock that was used, and seconds from sent to received; NaN where the sender has none."""
+    def _travel(self, frame: LiveFrame) -> float:
+        """Seconds from sent to received; NaN where the sender has no clock."""
         if frame.sent is None:
-            return "none", np.nan
+            return np.nan
         if frame.sent > UNIX:
             travelled = frame.received + (time.time() - time.monotonic()) - frame.sent
             # a millisecond: the two clocks are not read at once
             if -1e-3 < travelled < BELIEVED:
-                return "unix", max(travelled, 0.0)
+                return max(travelled, 0.0)
         offset = frame.received - frame.sent
         # another clock: a restarted sender
         if abs(offset - self.quickest) > BELIEVED:
             self.quickest = offset
         self.quickest = min(self.quickest, offset)
-        return "relative", offset - self.quickest
+        return offset - self.quickest
 
     def percentiles(self) -> dict[str, Percentiles]:
         """Of the spans of the last frames that were measured, by name."""
@@ -97,8 +80,3 @@ class Latency:
             f"latency, {name}: p50 {span.p50:.2f} ms, p95 {span.p95:.2f}, p99 {span.p99:.2f}"
             for name, span in self.percentiles().items()
         ]
-
-    def close(self) -> None:
-        if self.file:
-            self.file.__exit__(None, None, None)
-            self.file = self.rows = None

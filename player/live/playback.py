@@ -35,7 +35,6 @@ class LivePlayback:
         avatars: Sequence[Avatar],
         *,
         smooth: float | None = None,
-        latency: Latency | None = None,
         calibrate_after: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):
@@ -44,7 +43,7 @@ class LivePlayback:
         self.heights = [pelvis_height(avatar) for avatar in avatars]
         self.legs = [leg_length(joint_offsets(avatar.joint_positions.astype(np.float64))) for avatar in avatars]
         self.filter = OneEuro(smooth) if smooth is not None else None
-        self.latency = latency or Latency()
+        self.latency = Latency()
         self.countdown = calibrate_after
         self.origin: Float[np.ndarray, "3"] | None = None  # in the sender's metres
         # whether the pose that sets the origin stands on the ground for certain
@@ -74,7 +73,7 @@ class LivePlayback:
     def poses(self) -> list[Pose]:
         """A pose for each avatar. Paused or silent, the last good one."""
         now = self.clock()
-        found = self.inbox.sample(now) if self.playing else None
+        found = self.inbox.sample() if self.playing else None
         if found is not None:
             frame, pose = found
             self.latency.applied(frame, now)

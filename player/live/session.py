@@ -1,4 +1,4 @@
-"""A live session: listens while the block runs, then writes the take and the latencies that were asked for."""
+"""A live session: listens while the block runs, then writes the take that was asked for."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -7,7 +7,6 @@ from avatar.baked_avatar import Avatar
 from command.interrupt import deferred_stop
 from player.live.command import LiveCommand
 from player.live.inbox import Inbox
-from player.live.latency import Latency
 from player.live.playback import LivePlayback
 from player.live.receiver import listen
 from player.live.take import Take
@@ -16,7 +15,7 @@ from player.scene.address import Address
 
 @contextmanager
 def live_session(address: Address, options: LiveCommand, avatars: Sequence[Avatar]) -> Iterator[LivePlayback]:
-    """Listen, and give the playback. However the block ends, the take and the stamps are written, and all is printed.
+    """Listen, and give the playback. However the block ends, the take is written, and all is printed.
 
     Raises:
         AssetError: the address cannot be listened at, or a file cannot be written.
@@ -28,15 +27,12 @@ def live_session(address: Address, options: LiveCommand, avatars: Sequence[Avata
         if options.record:
             take = Take(options.record)
             ending.callback(_write_take, take)
-        inbox = Inbox(address.kind, delay=options.buffer, take=take)
-        latency = Latency(options.latency)
-        ending.callback(_write_latency, latency, options)
+        inbox = Inbox(address.kind, take=take)
         listener = listen(address, inbox)
         ending.callback(listener.close)
         playback = LivePlayback(
-            inbox, listener.address, avatars, smooth=options.smooth, latency=latency,
-            calibrate_after=options.calibrate,
-        )  # fmt: skip
+            inbox, listener.address, avatars, smooth=options.smooth, calibrate_after=options.calibrate
+        )
         if take is not None:
             take.sender_height = playback.sender_height
         ending.callback(lambda: print("\n".join(playback.summary())))
@@ -44,12 +40,6 @@ def live_session(address: Address, options: LiveCommand, avatars: Sequence[Avata
         print(f"live: {listener.address}", end="")
         print(" (this machine only)" if address.local else ": anyone who reaches this port poses it")
         yield playback
-
-
-def _write_latency(latency: Latency, options: LiveCommand) -> None:
-    latency.close()
-    if options.latency:
-        print(f"{options.latency} written")
 
 
 def _write_take(take: Take) -> None:

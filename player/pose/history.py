@@ -1,82 +1,73 @@
-"""Undo and redo of posing: one immutable `PoseState` replaced by another, and the way back.
+"""One pose, and undo and redo of posing: one immutable `Pose` replaced by another, and the way back.
 
 Changes that carry the same drag mark become one step, however many pixels the pointer took.
 """
 
 from dataclasses import dataclass
 
-from player.pose.keyframes import Easing, Keys, Pose, pose_at
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
 
 # steps of undo that are kept
 STEPS = 500
 
 
 @dataclass(frozen=True, eq=False)
-class PoseState:
-    """All that undo brings back."""
+class Pose:
+    """One pose; its arrays are never written to."""
 
-    pose: Pose
-    keys: Keys = ()
-    easing: Easing = "linear"
-    frame: int = 0  # the timeline's
+    axis_angle: Float[Array, "52 3"]
+    root: Float[Array, "3"]
 
-    @property
-    def unkeyed(self) -> bool:
-        """Whether there are keys and the pose is not what they give at this frame."""
-        return bool(self.keys) and not pose_at(self.keys, self.frame, self.easing).same(self.pose)
+    def __post_init__(self):
+        for name, given in list(vars(self).items()):
+            value = np.array(given, np.float64)  # a copy: the giver may go on writing to its own
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    def same(self, other: "Pose") -> bool:
+        """Equal to the last bit."""
+        return np.array_equal(self.axis_angle, other.axis_angle) and np.array_equal(self.root, other.root)
 
 
 class History:
-    """The present state, what was done before it with the state before each step, and what was undone."""
+    """The present pose, what was done before it with the pose before each step, and what was undone."""
 
-    def __init__(self, state: PoseState):
-        self.state = self.saved = state
-        self.past: list[tuple[str, PoseState]] = []
-        self.future: list[tuple[str, PoseState]] = []
+    def __init__(self, pose: Pose):
+        self.pose = self.saved = pose
+        self.past: list[tuple[str, Pose]] = []
+        self.future: list[tuple[str, Pose]] = []
         # mark of the drag that the last step belongs to
         self._drag: object | None = None
 
     @property
     def dirty(self) -> bool:
-        """Whether there is what a file would lack: keys, easing, or a pose changed since saving or loading.
+        """Whether the pose was changed since saving or loading; undoing back to what was saved counts as unchanged."""
+        return self.pose is not self.saved
 
-        Undoing back to what was saved counts as unchanged.
-        """
-        state, saved = self.state, self.saved
-        if state.keys is not saved.keys or state.easing != saved.easing:
-            return True
-        return state.unkeyed if state.keys else state.pose is not saved.pose
-
-    def change(self, label: str, state: PoseState, drag: object | None = None) -> None:
-        """Put `state` in place of what is; steps with an equal `drag` mark (not None) are one step of undo."""
+    def change(self, label: str, pose: Pose, drag: object | None = None) -> None:
+        """Put `pose` in place of what is; steps with an equal `drag` mark (not None) are one step of undo."""
         if drag is None or drag != self._drag:
-            if self.state is state:
-                return
-            self._step(label)
+            self.past.append((label, self.pose))
+            del self.past[:-STEPS]
         self.future.clear()
         self._drag = drag
-        self.state = state
+        self.pose = pose
 
     def end_drag(self) -> None:
         """The pointer was let go: the next change is a step of its own. A drag that led nowhere leaves no step."""
         if self._drag is not None and self.past:
             before = self.past[-1][1]
-            if before.pose.same(self.state.pose) and before.keys is self.state.keys:
-                self.state = before
+            if before.same(self.pose):
+                self.pose = before
                 self.past.pop()
         self._drag = None
 
-    def go_to(self, label: str, state: PoseState) -> None:
-        """Another frame of the timeline: no step of undo, unless the present pose was changed and is no key."""
-        if self.state.unkeyed:
-            self._step(label)
-            self.future.clear()
-        self.state = state
-
     def mark_saved(self) -> None:
-        """The present state is in a file."""
+        """The present pose is in a file."""
         self.end_drag()
-        self.saved = self.state
+        self.saved = self.pose
 
     def undo(self) -> str | None:
         """One step back; its name, or None where there is none."""
@@ -85,15 +76,11 @@ class History:
     def redo(self) -> str | None:
         return self._walk(self.future, self.past)
 
-    def _walk(self, come_from: list[tuple[str, PoseState]], leave_to: list[tuple[str, PoseState]]) -> str | None:
+    def _walk(self, come_from: list[tuple[str, Pose]], leave_to: list[tuple[str, Pose]]) -> str | None:
         self.end_drag()
         if not come_from:
             return None
-        label, state = come_from.pop()
-        leave_to.append((label, self.state))
-        self.state = state
+        label, pose = come_from.pop()
+        leave_to.append((label, self.pose))
+        self.pose = pose
         return label
-
-    def _step(self, label: str) -> None:
-        self.past.append((label, self.state))
-        del self.past[:-STEPS]

@@ -13,10 +13,12 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.limits import posed
+from avatar.motion.amass import write_amass
+from avatar.motion.clip import Clip, fitted
+from avatar.motion.read import read_motion
 from command.errors import AssetError
 from player.pose.fingers import PRESETS, with_hand
-from player.pose.keyframes import Pose
-from player.pose.pose_file import read_pose, write_pose
+from player.pose.history import Pose
 
 Angles = dict[str, dict[str, float | int]]
 
@@ -168,6 +170,27 @@ class Library:
         if not path.is_file():
             raise ValueError(f"no pose {name!r} in {self.folder}")
         path.unlink()
+
+
+def write_pose(path: Path | str, pose: Pose, *, pelvis_height: float | None, up: str = "z") -> None:
+    """One pose as a motion of one frame, whole or not at all. up="z" is what AMASS and its tools expect, and is as
+    exact as a quarter turn in double precision; up="y" keeps our world and comes back to the last bit."""
+    write_amass(path, Clip(pose.axis_angle[None], pose.root[None], 30.0, (), pelvis_height), up=up)
+
+
+def read_pose(path: Path | str, *, pelvis_height: float | None = None) -> Pose:
+    """The first frame of any pose file, the root scaled to a body whose pelvis stands at `pelvis_height`.
+
+    Raises:
+        AssetError: the file is no motion, is damaged, or has no frame.
+    """
+    motion = read_motion(path)
+    if not motion.frames:
+        raise AssetError(f"{path}: expected a pose, found no frame")
+    if pelvis_height is not None:
+        motion = fitted(motion, pelvis_height)
+    clip = motion.read(0, 1)
+    return Pose(clip.axis_angle[0], clip.root[0])
 
 
 def check_name(name: str) -> None:

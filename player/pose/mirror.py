@@ -56,7 +56,7 @@ def onto_other_side(axis_angle: Float[Array, "52 3"], joints: Sequence[int]) -> 
 
 
 def limb_of(joint: int) -> tuple[int, ...]:
-    """The joints that are copied with one as its limb: arm with hand, leg with foot, trunk with neck and head."""
+    """The joints that belong to one as its limb: arm with hand, leg with foot, trunk with neck and head."""
     name = JOINTS[joint]
     if not name.startswith(("left", "right")):
         return tuple(k for k, other in enumerate(JOINTS) if not other.startswith(("left", "right")) and k)

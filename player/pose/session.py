@@ -1,11 +1,10 @@
-"""A posing session: the present pose, keyframes, copy and paste, what is pinned.
+"""A posing session: the present pose, what is pinned.
 
-Every change is a step of the session's history (player/pose/history.py). Moving along the timeline and copying are no
-changes: they are not undone and do not make a session unsaved. Which joint is selected is the window's business.
+Every change is a step of the session's history (player/pose/history.py). Which joint is selected is the window's
+business.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,16 +13,13 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.limits import clamped, with_angle
-from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
-from command.progress import plural
-from player.pose import pose_file
 from player.pose.fingers import HandShape, Side, with_finger, with_hand
-from player.pose.history import History, PoseState
+from player.pose.history import History, Pose
 from player.pose.ik import LIMBS, reach_for
-from player.pose.keyframes import Easing, Keys, Pose, clip_of, pose_at, with_key
-from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
+from player.pose.library import read_pose, write_pose
+from player.pose.mirror import mirrored_in_place, onto_other_side
 
 
 class Pin(NamedTuple):
@@ -31,14 +27,6 @@ class Pin(NamedTuple):
 
     place: Float[Array, "3"]
     turn: Float[Array, "3 3"]  # world_from_joint
-
-
-@dataclass(frozen=True, eq=False)
-class Copied:
-    """Joints on the clipboard and their vectors."""
-
-    joints: tuple[int, ...]
-    axis_angle: Float[Array, "52 3"]
 
 
 class PoseSession:
@@ -51,38 +39,20 @@ class PoseSession:
         root: Float[Array, "3"] | None = None,
         axis_angle: Float[Array, "52 3"] | None = None,
         pelvis_height: float | None = None,
-        rate: float | int = 30.0,
     ):
         if root is None:
             root = np.array([0.0, pelvis_height or 0.0, 0.0])
         self.joints = np.array(joints, np.float64)
         self.pelvis_height = pelvis_height
-        self.rest = Pose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root)
-        self.history = History(PoseState(self.rest))
+        self.history = History(Pose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root))
         self.limited = True
-        # with keys: each change of the pose is a key at once
-        self.auto_key = False
         self.pinned: dict[str, Pin] = {}  # limbs whose ends are held in the world
-        self.copied: Copied | None = None
-        self.rate = rate
 
     # what there is
 
     @property
-    def state(self) -> PoseState:
-        return self.history.state
-
-    @property
     def pose(self) -> Pose:
-        return self.state.pose
-
-    @property
-    def keys(self) -> Keys:
-        return self.state.keys
-
-    @property
-    def frame(self) -> int:
-        return self.state.frame
+        return self.history.pose
 
     def world(self) -> Float[Array, "52 4 4"]:
         """world_from_joint of the present pose."""
@@ -121,10 +91,7 @@ class PoseSession:
         pose = Pose(axis_angle, root)
         if drag is None and pose.same(self.pose):
             return
-        keys = self.keys
-        if self.auto_key and keys:
-            keys = with_key(keys, self.frame, pose)
-        self.history.change(label, replace(self.state, pose=pose, keys=keys), drag)
+        self.history.change(label, pose, drag)
         for limb in self.pinned:
             if not hold or LIMBS[limb].end == joint:
                 self.pin(limb, True)
@@ -203,28 +170,6 @@ class PoseSession:
         pose[list(joints)] = 0.0
         self.put("reset", pose, hold=False)
 
-    # copy and paste
-
-    def copy(self, joints: Sequence[int]) -> None:
-        self.copied = Copied(tuple(joints), self.pose.axis_angle)
-
-    def paste(self, *, mirrored: bool = False) -> None:
-        """What was copied onto the same joints, or mirrored onto the other side's. Nothing copied: nothing happens.
-
-        The body's place is not pasted: a copied pose is taken where the avatar stands.
-        """
-        if self.copied is None:
-            return
-        joints = list(self.copied.joints)
-        pose = np.array(self.pose.axis_angle)
-        if mirrored:
-            whole = mirrored_in_place(self.copied.axis_angle)
-            onto = PARTNER[joints]
-            pose[onto] = whole[onto]
-        else:
-            pose[joints] = self.copied.axis_angle[joints]
-        self.put("paste", pose, hold=False)
-
     # undo
 
     def undo(self) -> str | None:
@@ -241,67 +186,25 @@ class PoseSession:
                 self.pin(limb, True)
         return label
 
-    # the timeline
-
-    def seek(self, frame: int) -> None:
-        """Go to a frame; with keys, the present pose becomes the timeline's there.
-
-        No step of undo, unless the present pose was changed and is no key: then undo brings it back.
-        """
-        frame = max(int(frame), 0)
-        if frame == self.frame:
-            return
-        self.history.end_drag()
-        pose = pose_at(self.keys, frame, self.state.easing) if self.keys else self.pose
-        self.history.go_to("go to frame", replace(self.state, pose=pose, frame=frame))
-
-    def key(self) -> None:
-        """The present pose becomes a key at the present frame."""
-        self.history.change("key", replace(self.state, keys=with_key(self.keys, self.frame, self.pose)))
-
-    def delete_key(self, frame: int | None = None) -> None:
-        frame = self.frame if frame is None else frame
-        keys = tuple(key for key in self.keys if key[0] != frame)
-        if len(keys) != len(self.keys):
-            self.history.change("delete key", replace(self.state, keys=keys))
-
-    def ease(self, easing: Easing) -> None:
-        if easing != self.state.easing:
-            self.history.change("easing", replace(self.state, easing=easing))
-
-    def clip(self) -> Clip:
-        """The timeline as a clip, or the present pose as a clip of one frame."""
-        keys = self.keys or ((0, self.pose),)
-        return clip_of(keys, self.rate, self.state.easing, self.pelvis_height)
-
     # files
 
-    def save(self, path: Path | str, *, up: str = "z") -> str:
-        """Write the keys, or the pose where there are none; what was written, in words."""
-        if self.keys:
-            pose_file.write_keys(path, self.clip(), self.keys, self.state.easing, up=up)
-            done = f"{path}: {plural(len(self.keys), 'keyframe')}, {plural(self.keys[-1][0] + 1, 'frame')}"
-        else:
-            pose_file.write_pose(path, self.pose, pelvis_height=self.pelvis_height, up=up)
-            done = f"{path}: one pose"
+    def save(self, path: Path | str) -> str:
+        """Write the pose as a motion of one frame; what was written, in words."""
+        write_pose(path, self.pose, pelvis_height=self.pelvis_height)
         self.history.mark_saved()
-        return done
+        return f"{path}: one pose"
 
-    def load(self, path: Path | str) -> tuple[str, ...]:
-        """Take a file's keys, or its pose where it has one frame; a step of undo, and counts as saved.
+    def load(self, path: Path | str) -> None:
+        """Take the first pose of a file; a step of undo, and counts as saved.
 
         Raises:
             AssetError: the file cannot be read; nothing has changed then.
         """
-        timeline = pose_file.read_keys(path, pelvis_height=self.pelvis_height)
-        pose = timeline.keys[0][1]
-        keys = timeline.keys if len(timeline.keys) > 1 else ()
+        pose = read_pose(path, pelvis_height=self.pelvis_height)
         self.history.end_drag()
-        self.history.change("load", PoseState(pose, keys, timeline.easing))
-        self.rate = timeline.rate
+        self.history.change("load", pose)
         self.history.mark_saved()
         self.pinned.clear()
-        return timeline.notes
 
 
 def turned(

@@ -24,18 +24,12 @@ def refused(expected: str, found: str) -> argparse.ArgumentTypeError:
     return argparse.ArgumentTypeError(f"expected {expected}, found {found}")
 
 
-def two_numbers(text: str, between: str, expected: str) -> tuple[int, int]:
-    """Two whole numbers with a sign between them."""
-    try:
-        first, second = (int(part) for part in text.split(between))
-    except ValueError:
-        raise refused(expected, repr(text)) from None
-    return first, second
-
-
 def parse_size(text: str) -> tuple[int, int]:
     """WxH in pixels."""
-    width, height = two_numbers(text.lower(), "x", "WIDTHxHEIGHT, as 640x640")
+    try:
+        width, height = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise refused("WIDTHxHEIGHT, as 640x640", repr(text)) from None
     if not (1 <= width <= 16384 and 1 <= height <= 16384):
         raise refused("1 to 16384 pixels a side", text)
     return width, height
@@ -84,14 +78,6 @@ def parse_gpu(text: str) -> int | str:
     if not text.isdigit():
         raise refused("a number from 0 or a DRM node as /dev/dri/renderD128", repr(text))
     return int(text)
-
-
-def parse_share(text: str) -> tuple[int, int]:
-    """K/N: the Kth of N shares, from 1."""
-    number, count = two_numbers(text, "/", "K/N, as 2/8")
-    if not 1 <= number <= count:
-        raise refused(f"a share from 1/{count} to {count}/{count}", text)
-    return number, count
 
 
 def parse_workers(text: str) -> str:
@@ -154,12 +140,10 @@ def with_effects(effects: Effects, asked: Mapping[str, Any]) -> Effects:
 
 
 def with_options(
-    scene: Scene, effects: Effects, size: tuple[int, int] | None, background: Background | None, level_by_size: bool
+    scene: Scene, effects: Effects, size: tuple[int, int] | None, background: Background | None
 ) -> Scene:
     """The scene with what a command says over it; a None is left to the scene."""
-    by_size = scene.level_by_size or level_by_size
-    background, size = background or scene.background, size or scene.size
-    return replace(scene, effects=effects, size=size, background=background, level_by_size=by_size)
+    return replace(scene, effects=effects, size=size or scene.size, background=background or scene.background)
 
 
 EffectsOption = Annotated[

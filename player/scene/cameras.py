@@ -1,18 +1,17 @@
-"""The cameras of the window: orbit, first person, turntable, a path through keys, and those of a capture."""
+"""The cameras of the window: orbit, turntable, a path through keys, and those of a capture."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from avatar.camera import Camera, direction, look_at, orbit_camera, pinhole
+from avatar.camera import Camera, orbit_camera
 from player.scene.camera_path import CameraPath
 from player.scene.framing import ELEVATION, FOV
 
 STEEPEST = 1.5  # radians; a camera never goes over a pole
-WALK = 1.5  # metres a second
 TURN_SECONDS = 12.0  # a turntable's round
-NAMES = {name: name for name in ("orbit", "walk", "turntable", "path", "capture")} | {"walk": "first person"}
+KINDS = ("orbit", "turntable", "path", "capture")
 
 
 class Orbit:
@@ -47,29 +46,6 @@ class Orbit:
         return orbit_camera(target, self.distance, self.azimuth, self.elevation, size, self.fov)
 
 
-class Walk:
-    """A camera that one carries: looks by dragging, goes by keys."""
-
-    def __init__(self, eye: Float[np.ndarray, "3"], azimuth: float, elevation: float, fov: float = FOV):
-        self.eye, self.azimuth, self.fov = np.array(eye, np.float64), azimuth, fov
-        self.elevation = float(np.clip(elevation, -STEEPEST, STEEPEST))
-
-    def turn(self, dx: float, dy: float) -> None:
-        """Drag by pixels: a quarter of a degree each, and the world follows the pointer."""
-        self.azimuth = float(np.remainder(self.azimuth + np.radians(0.25 * dx), 2 * np.pi))
-        self.elevation = float(np.clip(self.elevation + np.radians(0.25 * dy), -STEEPEST, STEEPEST))
-
-    def go(self, right: float, up: float, ahead: float) -> None:
-        """Go metres to the right, up along the world's y, and where one looks."""
-        facing = direction(self.azimuth, self.elevation)
-        side = np.array([-np.cos(self.azimuth), 0.0, np.sin(self.azimuth)])
-        self.eye = np.clip(self.eye + right * side + [0.0, up, 0.0] + ahead * facing, -1e4, 1e4)
-
-    def camera(self, size: tuple[int, int]) -> Camera:
-        ahead = self.eye + direction(self.azimuth, self.elevation)
-        return Camera(pinhole(size, self.fov), look_at(self.eye, ahead), size)
-
-
 class Cameras:
     """All of them; one is looked through. Which there are depends on what was opened."""
 
@@ -81,7 +57,6 @@ class Cameras:
         self.orbit, self.path, self.capture, self.kind = orbit, path, capture, kind
         self.named = dict(named or {})  # further ones by name: a path, or a camera for each frame (the last stays)
         self.turn_seconds = turn_seconds
-        self.walk = Walk(np.zeros(3), 0.0, 0.0)
         # the path that is being recorded
         self.keys: list[tuple[float, Camera]] = []
         if kind not in self.kinds:
@@ -91,20 +66,12 @@ class Cameras:
     def kinds(self) -> list[str]:
         """Those that can be chosen now."""
         there = {"path": self.path is not None, "capture": bool(self.capture)}
-        return [*(kind for kind in NAMES if there.get(kind, True)), *self.named]
+        return [*(kind for kind in KINDS if there.get(kind, True)), *self.named]
 
-    def choose(self, kind: str, now: Camera) -> None:
-        """Look through another camera; first person starts where one looked from."""
-        if kind == "walk":
-            ahead = now.camera_from_world[2, :3]
-            azimuth = float(np.arctan2(ahead[0], ahead[2]))
-            elevation = float(np.arcsin(np.clip(ahead[1], -1, 1)))
-            self.walk = Walk(now.eye, azimuth, elevation, self.orbit.fov)
-        self.kind = kind
-
-    def next(self, now: Camera) -> None:
+    def next(self) -> None:
+        """Look through another camera."""
         kinds = self.kinds
-        self.choose(kinds[(kinds.index(self.kind) + 1) % len(kinds)], now)
+        self.kind = kinds[(kinds.index(self.kind) + 1) % len(kinds)]
 
     def advance(self, dt: float) -> None:
         """Let time pass: the turntable turns."""
@@ -116,22 +83,16 @@ class Cameras:
         """A drag with the left button."""
         if self.kind in ("orbit", "turntable"):
             self.orbit.turn(dx, dy)
-        elif self.kind == "walk":
-            self.walk.turn(dx, dy)
 
     def shift(self, dx: float, dy: float, height: int) -> None:
         """A drag with another button."""
         if self.kind in ("orbit", "turntable"):
             self.orbit.shift(dx, dy, height)
-        elif self.kind == "walk":
-            self.walk.go(-0.005 * dx, 0.005 * dy, 0.0)
 
     def approach(self, clicks: float) -> None:
         """The wheel."""
         if self.kind in ("orbit", "turntable"):
             self.orbit.approach(clicks)
-        elif self.kind == "walk":
-            self.walk.go(0.0, 0.0, 0.2 * float(np.clip(clicks, -100, 100)))
 
     def camera(
         self, size: tuple[int, int], seconds: float, frame: int, along: Float[np.ndarray, "3"] | None = None
@@ -142,7 +103,7 @@ class Cameras:
             return chosen.camera(seconds, size)
         if chosen:
             return letterboxed(chosen[min(frame, len(chosen) - 1)], size)
-        return self.walk.camera(size) if self.kind == "walk" else self.orbit.camera(size, along)
+        return self.orbit.camera(size, along)
 
     def add_key(self, seconds: float, now: Camera) -> None:
         """Record what is looked through as a key of the path at this moment; one at the same moment is replaced."""

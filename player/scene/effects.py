@@ -81,17 +81,17 @@ STUDIO = Background()
 def resolve(
     avatars: Sequence[Avatar], canvas: Canvas, effects: Effects,
     background: Background = Background("transparent"),  # noqa: B008  frozen
-    detail: int | Sequence[int] = 0, kept: Kept | None = None,
+    detail: Sequence[int] = (), kept: Kept | None = None,
 ) -> Plan:  # fmt: skip
-    """The plan for drawing `avatars` with these effects, asked from the last in a frame to the first; all at one level
-    of detail or each at its own. Makes no GL object; opens the background's file, unless `kept` (of an earlier plan)
-    holds it.
+    """The plan for drawing `avatars` with these effects, asked from the last in a frame to the first; each at its
+    level of detail, the finest where none are named. Makes no GL object; opens the background's file, unless `kept` (of
+    an earlier plan) holds it.
 
     Raises:
         ValueError: a view mode that an avatar does not hold.
         AssetError: a file that cannot be read.
     """
-    kept, levels = kept or {}, [detail] * len(avatars) if isinstance(detail, int) else detail
+    kept, levels = kept or {}, detail or [0] * len(avatars)
     wanted: list[tuple[Stage, Effect | Absent]] = [(Stage.BACKGROUND, background)]
     wanted.append((Stage.AVATARS, Avatars(effects.view)))
     for fact, stage, effect in effects.effects():

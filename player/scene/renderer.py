@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import NamedTuple
 
 import moderngl
@@ -13,10 +12,9 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from command.errors import AssetError
 from files.input_file import JsonObject
-from player.draw.detail import BySize, DetailBySize
 from player.draw.drawing import Drawing, FrameInputs, Look, Pose, Warming
 from player.draw.plan import Canvas, Decision, Kept, Pass, Plan, close_all
-from player.draw.posing import PosedBones, Poser, ScreenBounds, screen_bounds
+from player.draw.posing import PosedBones, Poser, screen_bounds
 from player.draw.raster import clip_planes
 from player.draw.resources import PlanResources
 from player.effects.background import Background
@@ -40,8 +38,7 @@ class Renderer:
 
     size None makes no image of its own: only `draw_into` a window works, and what depends on its size is made with
     its first frame. `effects` and `background` say what is asked for; level picks a level of detail (the coarsest
-    if there are fewer), of all avatars or of each, or the finest, where small avatars are drawn with coarser ones
-    (player/draw/detail.py). view is short for Effects(view=view), an RGBA tuple (premultiplied, [0,1]) for a Background
+    if there are fewer). view is short for Effects(view=view), an RGBA tuple (premultiplied, [0,1]) for a Background
     of one colour.
 
     Raises:
@@ -51,18 +48,12 @@ class Renderer:
 
     def __init__(
         self, context: Context, avatars: Sequence[Avatar], size: tuple[int, int] | None, *, effects: Effects = PLAIN,
-        background: Background | Sequence[float | int] = (0.0, 0.0, 0.0, 0.0), level: int | Sequence[int] | BySize = 0,
-        view: str | None = None,
+        background: Background | Sequence[float | int] = (0.0, 0.0, 0.0, 0.0), level: int = 0, view: str | None = None,
     ):  # fmt: skip
         self.context, self.avatars = context, tuple(avatars)
-        self.level, by_size = (level.finest, True) if isinstance(level, BySize) else (level, False)
+        self.level = level
         # share of the view dependence that is drawn: 0 is the paper, 1 all of it
         self.view_amount = 1.0
-        # the number of each avatar's level of detail
-        self.detail = self._finest()
-        self._by_size = DetailBySize(self.avatars) if by_size else None
-        # plans whose levels of detail are ready to be drawn at once
-        self._ready: list[Plan] = []
         self.effects = effects if view is None else replace(effects, view=view)
         self.background = _as_background(background)
         self.size, self.own_image = size, size is not None
@@ -81,6 +72,11 @@ class Renderer:
         return self.resources[self.plan.image.framebuffer] if self.own_image and self.plan.image is not None else None
 
     @property
+    def detail(self) -> list[int]:
+        """The number of each avatar's level of detail."""
+        return [min(self.level, len(avatar.levels) - 1) for avatar in self.avatars]
+
+    @property
     def views(self) -> list[str]:
         """The view mode of each avatar, as the plan resolved it."""
         return [self.plan.views.get(index, "off") for index in range(len(self.avatars))]
@@ -92,7 +88,7 @@ class Renderer:
 
     def change(
         self, *, size: tuple[int, int] | None = None, effects: Effects | None = None,
-        background: Background | Sequence[float | int] | None = None, level: int | Sequence[int] | None = None,
+        background: Background | Sequence[float | int] | None = None, level: int | None = None,
     ) -> None:  # fmt: skip
         """Another size, other effects, another background or level of detail. Only what is new is made or compiled;
         what is no longer asked for is freed.
@@ -100,21 +96,18 @@ class Renderer:
         Raises:
             ValueError, AssetError: as when it was made; the renderer then stays as it was.
         """
-        before = self.size, self.effects, self.background, self.level, self.detail, self._ready
+        before = self.size, self.effects, self.background, self.level
         self.size = size or self.size
         self.effects = effects or self.effects
         self.background = self.background if background is None else _as_background(background)
-        if level is not None and level != self.level:
-            self.level = level
-            self.detail = self._finest()
-        self._ready = []
+        self.level = self.level if level is None else level
         try:
             plan = self._resolved(self.plan.kept)
         except (ValueError, AssetError):
-            self.size, self.effects, self.background, self.level, self.detail, self._ready = before
+            self.size, self.effects, self.background, self.level = before
             raise
         self._apply(plan)
-        if self.detail != before[4]:
+        if self.level != before[3]:
             self._measure()
 
     def resize(self, size: tuple[int, int]) -> None:
@@ -245,8 +238,6 @@ class Renderer:
         bounds = [screen_bounds(self._bulging(one, far), camera) for one, far in zip(bones, reaches, strict=True)]
         visible = [one.shows(camera) for one in bounds]
         planes = clip_planes(np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).ravel())
-        if self._by_size is not None and only is None:
-            self._follow_size(self._by_size, bounds, visible)
         look = self.look._replace(view_amount=self.view_amount)
         drawing = Drawing(inputs, self.resources, look, bones, bounds, visible, planes, reaches)
         # a filter works on what is there
@@ -261,22 +252,6 @@ class Renderer:
             if item is only or (only is None and decision.runs):
                 item.draw(drawing)
         self.drawn, self.last = drawn, inputs
-
-    def _follow_size(self, by_size: DetailBySize, bounds: Sequence[ScreenBounds], visible: Sequence[bool]) -> None:
-        """Plan with the levels of detail that the avatars' sizes call for, if they are others than before."""
-        heights = [float(one.box[3] - one.box[1]) if seen else None for one, seen in zip(bounds, visible, strict=True)]
-        # at another level, loose parts would fall back to where they are skinned to
-        detail = by_size.chosen(self.detail, self._finest(), heights, self.plan.moved)
-        if detail != self.detail:
-            self.detail = detail
-            self._apply(self._resolved(self.plan.kept))
-
-    def _finest(self) -> tuple[int, ...]:
-        """The level of detail asked for, of each avatar."""
-        wanted = [self.level] * len(self.avatars) if isinstance(self.level, int) else self.level
-        if len(wanted) != len(self.avatars):
-            raise ValueError(f"{len(self.avatars)} avatars need as many levels of detail, found {len(wanted)}")
-        return tuple(min(one, len(avatar.levels) - 1) for one, avatar in zip(wanted, self.avatars, strict=True))
 
     def _bulging(self, bones: PosedBones, reach: float) -> PosedBones:
         """The bones with spheres that hold what they move, in the skinning asked for; reach: of loose parts, metres."""
@@ -300,20 +275,7 @@ class Renderer:
         if self.size is not None and self.size[0] * self.size[1] > MAX_PIXELS:
             raise ValueError(f"size: expected at most {MAX_PIXELS} pixels, found {self.size[0]} x {self.size[1]}")
         canvas = Canvas(self.size, self.own_image, self.context.software, self.context.gl.max_samples)
-        plan = resolve(self.avatars, canvas, self.effects, self.background, self.detail, kept)
-        if self._by_size is None:
-            return plan
-        if not self._ready:
-            # every level is made beforehand, so that a change of level makes nothing
-            coarsest = max(len(avatar.levels) for avatar in self.avatars)
-            for number in range(min(self._finest()), coarsest):
-                detail = [min(max(number, one), len(who.levels) - 1) for one, who in zip(self._finest(), self.avatars)]
-                opened = {**kept, **plan.kept, **{key: one for made in self._ready for key, one in made.kept.items()}}
-                self._ready.append(resolve(self.avatars, canvas, self.effects, self.background, detail, opened))
-        handles = tuple(dict.fromkeys(chain(plan.handles, *(one.handles for one in self._ready))))
-        return replace(
-            plan, handles=handles, kept=dict(chain(*(one.kept.items() for one in self._ready), plan.kept.items()))
-        )
+        return resolve(self.avatars, canvas, self.effects, self.background, self.detail, kept)
 
     def _apply(self, plan: Plan) -> None:
         """Make what the plan adds, free what it lacks, and draw once with what is new."""
@@ -329,13 +291,9 @@ class Renderer:
                 item.warm(warming)
 
     def _measure(self) -> None:
-        """Bounds of each avatar's surface, at its level of detail and those that it may get."""
-        made: dict[tuple[int, int], Poser] = {}
-        for avatar, number in zip(self.avatars, self.detail, strict=True):
-            levels = avatar.levels[number : number + 1] if self._by_size is None else avatar.levels[number:]
-            if (id(avatar), number) not in made:
-                made[id(avatar), number] = Poser(avatar, *levels)
-        self.posers = [made[id(who), number] for who, number in zip(self.avatars, self.detail, strict=True)]
+        """Bounds of each avatar's surface at its level of detail."""
+        made = {id(avatar): Poser(avatar, avatar.level(self.level)) for avatar in self.avatars}
+        self.posers = [made[id(avatar)] for avatar in self.avatars]
 
 
 def _as_background(background: Background | Sequence[float | int]) -> Background:

@@ -110,6 +110,3 @@ class Scene:
         "width and height, pixels; none: the camera file's, else 640 x 640"] = None
     rate: Annotated[float | None, AtLeast(FILM_RATES[0]), AtMost(FILM_RATES[1]),
         "frames per second; none: the first motion's"] = None
-    level_by_size: Annotated[bool,
-        "avatars that are small in the picture are drawn with fewer triangles: in a film each at the coarsest level "
-        "that does for its largest size, in the window for its size now"] = False

@@ -89,7 +89,7 @@ class Drawing {
     const [mesh, color, features] = await Promise.all([
       unpackedMesh(facts, pageBytes(`${name}.mesh`)),
       unpackedColor(pageBytes(`${name}.color`)),
-      facts.features ? unpackedFeatures(facts.features, pageBytes(`${name}.features`)) : [],
+      facts.features ? unpackedFeatures(facts.features, pageBytes(`${name}.features`)) : null,
     ]);
     this.content.set(level, { mesh, color, features });
     return this.content.get(level);
@@ -120,7 +120,7 @@ class Drawing {
         if (index !== gl.INVALID_INDEX) gl.uniformBlockBinding(program, index, unit);
       }
       gl.useProgram(program);
-      ["base_color", "features", "more_features"].forEach((name, unit) => {
+      ["base_color", "features"].forEach((name, unit) => {
         gl.uniform1i(gl.getUniformLocation(program, name), unit);
       });
       return program;
@@ -166,12 +166,12 @@ class Drawing {
     });
   }
 
-  // A level's textures: base color, then features, four a texture.
+  // A level's textures: base color, then features.
   textures(level, halvings) {
     const { color, features } = this.content.get(level), facts = this.avatar.levels[level], gl = this.gl;
     const found = this.kept(`textures ${level}`, () => [
       this.texture(color, facts.color.size, false),
-      ...features.map((image) => this.texture(image, facts.features.size, true)),
+      ...(features ? [this.texture(features, facts.features.size, true)] : []),
     ]);
     for (const [unit, { texture, size }] of found.entries()) {
       gl.activeTexture(gl.TEXTURE0 + unit);

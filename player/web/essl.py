@@ -63,12 +63,11 @@ def program(defines: Mapping[str, int], generated: Mapping[str, str]) -> dict[st
 
 def programs(avatar: Avatar) -> dict[str, dict[str, str]]:
     """A program for each view mode that the avatar's file holds, by its name (player/effects/avatar.py)."""
-    features, constants = avatar.levels[0].features, avatar_constants(avatar)
+    constants = avatar_constants(avatar)
     found = {"off": program({"VIEW_STAGE": 0}, {})}
-    if features is None:
+    if avatar.levels[0].features is None:
         return found
     for view in reversed(views_of(avatar)[:-1]):
         network = view == "network" or (view == "vertex" and avatar.network is not None)
-        more = {"VIEW_STAGE": STAGE[view], "VIEW_MODEL": int(network), "VIEW_FEATURES": features.shape[2]}
-        found[view] = program(more, constants)
+        found[view] = program({"VIEW_STAGE": STAGE[view], "VIEW_MODEL": int(network)}, constants)
     return found

@@ -92,8 +92,8 @@ def packed_level(avatar: Avatar, number: int) -> Packed:
     }
     if level.features is not None:
         blobs[f"{named}.features"] = zlib.compress(paeth(level.features), 9)
-        height, width, planes = level.features.shape
-        facts["features"] = {"size": [width, height], "planes": planes}
+        height, width, _ = level.features.shape
+        facts["features"] = {"size": [width, height]}
     return Packed(facts, blobs)
 
 

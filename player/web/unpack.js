@@ -59,28 +59,22 @@ async function unpackedMesh(facts, bytes) {
   return arrays;
 }
 
-// Planes of bytes from differences to Paeth's guess, as images of four channels each.
-async function unpackedFeatures({ size: [width, height], planes }, bytes) {
-  const data = await inflated(bytes), images = [];
-  for (let first = 0; first < planes; first += 4) {
-    const image = new Uint8Array(4 * width * height), row = 4 * width;
-    for (let plane = 0; plane < 4; plane++) {
-      let from = (first + plane) * width * height;
-      for (let y = 0; y < height; y++) {
-        let left = 0, corner = 0;
-        for (let x = 0, at = y * row + plane; x < width; x++, at += 4, from++) {
-          const above = y ? image[at - row] : 0;
-          const guess = left + above - corner;
-          const a = Math.abs(guess - left), b = Math.abs(guess - above), c = Math.abs(guess - corner);
-          left = image[at] = data[from] + (a <= b && a <= c ? left : b <= c ? above : corner);
-          left &= 255;
-          corner = above;
-        }
+// Four planes of bytes from differences to Paeth's guess, as an image of four channels.
+async function unpackedFeatures({ size: [width, height] }, bytes) {
+  const data = await inflated(bytes), image = new Uint8Array(4 * width * height), row = 4 * width;
+  for (let plane = 0, from = 0; plane < 4; plane++)
+    for (let y = 0; y < height; y++) {
+      let left = 0, corner = 0;
+      for (let x = 0, at = y * row + plane; x < width; x++, at += 4, from++) {
+        const above = y ? image[at - row] : 0;
+        const guess = left + above - corner;
+        const a = Math.abs(guess - left), b = Math.abs(guess - above), c = Math.abs(guess - corner);
+        left = image[at] = data[from] + (a <= b && a <= c ? left : b <= c ? above : corner);
+        left &= 255;
+        corner = above;
       }
     }
-    images.push(image);
-  }
-  return images;
+  return image;
 }
 
 // Bytes of the picture as they were stored: browsers else turn them into the screen's colors.

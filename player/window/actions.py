@@ -3,7 +3,7 @@ help over the picture and in `selfscan play --help`, the tooltips of buttons, an
 docs/posing.md (experiments/key_docs.py).
 
 An `Action` is one thing that keys do; a button that does the same is made from it. Actions are grouped by when their
-keys hold; the groups of a mode (first person, posing) go before the others.
+keys hold; those of posing go before the others.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from player.window.posing import PoseEdit
     from player.window.timeline import Timeline
 
-Walk = tuple[int, int, int]  # right, up, ahead
 When = Callable[["WindowParts"], bool]
 
 
@@ -23,20 +22,15 @@ def _always(_parts: "WindowParts") -> bool:
     return True
 
 
-def _nothing(_parts: "WindowParts") -> None:
-    """Of keys that are held down."""
-
-
 @dataclass(frozen=True)
 class Action:
     """What keys do: `means` says it in the imperative, small letters. Keys are named as in player/window/keyboard.py,
-    with ctrl+ and shift+ before them. `walk` is where a key takes the camera while it is held down."""
+    with ctrl+ and shift+ before them."""
 
     means: str
     keys: tuple[str, ...]
-    do: Callable[["WindowParts"], object] = _nothing
+    do: Callable[["WindowParts"], object]
     when: When = _always
-    walk: Walk | None = None
 
     @property
     def shown_keys(self) -> tuple[str, ...]:
@@ -72,7 +66,7 @@ def toggle_follow(parts: "WindowParts") -> None:
 
 
 def next_camera(parts: "WindowParts") -> None:
-    parts.viewpoint.cameras.next(parts.viewpoint.camera())
+    parts.viewpoint.cameras.next()
 
 
 def toggle_panels(parts: "WindowParts") -> None:
@@ -120,10 +114,6 @@ FIRST_FRAME = Action("go to the first frame", ("home",), timed(lambda line: line
 LAST_FRAME = Action("go to the last frame", ("end",), timed(lambda line: line.seek(line.frames - 1)))
 SLOWER = Action("play slower (down to 0.1 times)", ("[",), timed(lambda line: line.faster(-1)))
 FASTER = Action("play faster (up to 4 times)", ("]",), timed(lambda line: line.faster(1)))
-LOOP = Action("at the end: loop, to and fro, or once", ("l",), timed(lambda line: line.next_loop()))
-RANGE_A = Action("begin the range A-B at this frame", ("a",), timed(lambda line: line.set_a(line.frame)))
-RANGE_B = Action("end the range A-B with this frame", ("b",), timed(lambda line: line.set_b(line.frame)))
-RANGE_OFF = Action("play the whole motion again", ("x",), timed(lambda line: line.range_off()))
 
 NEXT_CAMERA = Action("next camera", ("c",), next_camera)
 RESET_CAMERA = Action("reset the orbit", ("r",), lambda parts: parts.viewpoint.cameras.orbit.reset())
@@ -144,66 +134,41 @@ POSE = Action("pose the selected avatar by hand, or stop", ("p",), lambda parts:
 T_POSE = Action("take the T-pose of the sender in 3 seconds", ("t",), ask_for_t_pose)
 
 SCREENSHOT = Action("save a screenshot, without panels", ("s",), lambda parts: parts.recorder.shoot())
-FILM = Action("start or end a film, without panels", ("o",), lambda parts: parts.recorder.toggle_film())
 PANELS = Action("show or hide the panels", ("g",), toggle_panels)
 HELP = Action("show or hide this list of keys", ("h", "f1"), toggle_help)
 QUIT = Action("quit", ("q", "escape"), lambda parts: parts.close())
 
-AHEAD = Action("go ahead", ("w",), walk=(0, 0, 1))
-BACK = Action("go back", ("s",), walk=(0, 0, -1))
-LEFT = Action("go left", ("a",), walk=(-1, 0, 0))
-RIGHT = Action("go right", ("d",), walk=(1, 0, 0))
-UP = Action("go up", ("e",), walk=(0, 1, 0))
-DOWN = Action("go down", ("q",), walk=(0, -1, 0))
-
 UNDO = Action("undo (500 steps)", ("ctrl+z",), posed(lambda edit: edit.undo()))
 REDO = Action("redo", ("ctrl+shift+z", "ctrl+y"), posed(lambda edit: edit.redo()))
-COPY_LIMB = Action("copy the limb of the selected joint", ("ctrl+c",), posed(lambda edit: edit.copy_limb()))
-COPY_POSE = Action("copy the whole pose", ("ctrl+a",), posed(lambda edit: edit.copy_pose()))
-PASTE = Action("paste", ("ctrl+v",), posed(lambda edit: edit.session.paste()))
-PASTE_MIRRORED = Action(
-    "paste mirrored (the left arm onto the right)",
-    ("ctrl+shift+v",),
-    posed(lambda edit: edit.session.paste(mirrored=True)),
-)
 MIRROR = Action("mirror the pose; place and heading stay", ("m",), posed(lambda edit: edit.session.mirror()))
 TO_GROUND = Action("set the body on the ground", ("n",), posed(lambda edit: edit.to_ground()))
-SET_KEY = Action("set a keyframe at this frame", ("i",), posed(lambda edit: edit.set_key()))
-DELETE_KEY = Action("delete the keyframe at this frame", ("delete",), posed(lambda edit: edit.session.delete_key()))
 GIVE_UP = Action("give up the drag", ("escape",), posed(lambda edit: edit.tool.cancel()), when=is_dragging)
 CLOSE_HELP = Action("close the list of keys", ("escape",), toggle_help, when=lambda parts: parts.state.layout.help_on)
 
 VIDEO = KeyGroup("Source video", (WIPE_LEFT, WIPE_RIGHT), lambda parts: parts.wipe is not None)
-FIRST_PERSON = KeyGroup(
-    "First person", (AHEAD, BACK, LEFT, RIGHT, UP, DOWN), lambda parts: parts.viewpoint.cameras.kind == "walk"
-)
 POSING = KeyGroup(
     "Posing by hand",
-    (UNDO, REDO, COPY_LIMB, COPY_POSE, PASTE, PASTE_MIRRORED, MIRROR, TO_GROUND, SET_KEY, DELETE_KEY, GIVE_UP),
+    (UNDO, REDO, MIRROR, TO_GROUND, GIVE_UP),
     lambda parts: parts.posing.edit is not None,
 )  # fmt: skip
 GROUPS = (
     KeyGroup(
         "Time",
         (
-            PLAY, STEP_BACK, STEP_ON, SECOND_BACK, SECOND_ON, FIRST_FRAME, LAST_FRAME, SLOWER, FASTER, LOOP, RANGE_A,
-            RANGE_B, RANGE_OFF,
+            PLAY, STEP_BACK, STEP_ON, SECOND_BACK, SECOND_ON, FIRST_FRAME, LAST_FRAME, SLOWER, FASTER,
         ),
     ),
     KeyGroup("Camera", (NEXT_CAMERA, RESET_CAMERA, FOLLOW, ADD_CAMERA_KEY, SAVE_CAMERA_PATH)),
     KeyGroup("Avatars", (NEXT_AVATAR, VIEW, POSE)),
-    KeyGroup("Window", (SCREENSHOT, FILM, PANELS, HELP, CLOSE_HELP, QUIT)),
+    KeyGroup("Window", (SCREENSHOT, PANELS, HELP, CLOSE_HELP, QUIT)),
     VIDEO,
     KeyGroup("Live", (T_POSE,), lambda parts: bool(parts.state.playback.live)),
-    FIRST_PERSON,
     POSING,
 )  # fmt: skip
-# whose keys mean something else in the other groups
-MODES = (POSING, FIRST_PERSON)
 
 # what the mouse does, and what it does with a source video
 MOUSE = (
-    ("drag", "turn the camera; in first person, look around"),
+    ("drag", "turn the camera"),
     ("right or middle drag", "shift the camera"),
     ("wheel", "come nearer, go farther"),
     ("click", "select the avatar and the joint there; beside it, no joint"),
@@ -213,6 +178,6 @@ MOUSE_ON_VIDEO = (("drag the yellow line", "move the wipe between video and avat
 
 def found(key: str, parts: "WindowParts") -> Action | None:
     """What a key (with its modifiers) does now; None: nothing."""
-    groups = [group for group in (*MODES, *GROUPS) if group.when(parts)]
+    groups = [group for group in (POSING, *GROUPS) if group.when(parts)]
     actions = [action for group in groups for action in group.actions if key in action.keys and action.when(parts)]
     return actions[0] if actions else None

@@ -2,7 +2,6 @@
 
 import glfw
 
-from player.scene.cameras import WALK
 from player.window.actions import found
 from player.window.parts import WindowParts
 
@@ -24,18 +23,16 @@ MODIFIERS = {
 
 
 class Keyboard:
-    """Keys that are held down: modifiers, and those that carry the camera."""
+    """The modifiers that are held down, and what keys do."""
 
     def __init__(self, parts: WindowParts):
         self._parts = parts
-        # codes of modifiers, names of walking keys
+        # codes
         self._modifiers: set[int] = set()
-        self._walking: set[str] = set()
 
     def release(self, code: int) -> None:
         """A key went up, also over a text field."""
         self._modifiers.discard(code)
-        self._walking.discard(NAMES.get(code, ""))
 
     def press(self, code: int) -> None:
         """A key went down, or repeats. Control makes another key of it; Shift does where that means something."""
@@ -47,20 +44,5 @@ class Keyboard:
         action = found(chord, self._parts)
         if action is None and held == {"shift"}:
             action = found(name, self._parts)
-        if action is None:
-            return
-        if action.walk is not None:
-            self._walking.add(name)
-        action.do(self._parts)
-
-    @property
-    def carries(self) -> bool:
-        """Whether a key that carries the camera is down."""
-        return bool(self._walking)
-
-    def advance(self, dt: float) -> None:
-        """Carry the camera while its keys are held."""
-        for name in self._walking:
-            action = found(name, self._parts)
-            if action is not None and action.walk is not None:
-                self._parts.viewpoint.cameras.walk.go(*(WALK * dt * way for way in action.walk))
+        if action is not None:
+            action.do(self._parts)

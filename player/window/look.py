@@ -7,7 +7,6 @@ from command.errors import AssetError
 from player.budget.ladder import Frame
 from player.budget.measure import BudgetScene
 from player.budget.rung import Rung
-from player.draw.detail import BySize
 from player.effects.background import Background
 from player.gl.context import Context
 from player.scene.effects import Effects
@@ -25,8 +24,6 @@ class Appearance:
         # what it draws of the avatars: level of detail, textures, joints
         self.rung = Rung("as the file is", show.effects.view)
         self._over_video = show.capture is not None
-        # coarser levels where avatars are small
-        self.by_size = False
         self.renderer = self._new_renderer(self.effects, self.background, self.rung)
 
     def scene(self, frames: Sequence[Frame], size: tuple[int, int]) -> BudgetScene:
@@ -48,11 +45,6 @@ class Appearance:
         """Other effects, background or level of detail; where that cannot be, it is said and nothing changes."""
         rung = self.rung if level is None or level == self.level else Rung("by hand", self.effects.view, level)
         self._change(effects or self.effects, background or self.background, rung)
-
-    def follow_size(self, on: bool) -> None:
-        """Levels of detail by size on screen, or not."""
-        self.by_size = on
-        self.renew()
 
     def renew(self) -> None:
         """Make what is drawn anew: avatars are others, or otherwise chosen."""
@@ -84,8 +76,7 @@ class Appearance:
 
     def _new_renderer(self, effects: Effects, background: Background, rung: Rung) -> Renderer:
         background, avatars = self._drawn_first(background), rung.prepared(self.avatars)
-        level = BySize(rung.level) if self.by_size else rung.level
-        return Renderer(self.context, avatars, None, effects=effects, background=background, level=level)
+        return Renderer(self.context, avatars, None, effects=effects, background=background, level=rung.level)
 
     def _drawn_first(self, background: Background) -> Background:
         return Background("transparent") if self._over_video else background

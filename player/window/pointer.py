@@ -80,7 +80,6 @@ class Pointer:
         x, y = self._screen.pixel(*self.at)
         wipe, edit = self.parts.wipe, self.parts.posing.edit
         if edit is not None and edit.tool.press(x, y):
-            edit.pause()
             self._holds = "tool"
         elif wipe is not None and self.parts.viewpoint.shows_video and wipe.near(x, self.parts.state.layout):
             self._holds = "wipe"

@@ -17,8 +17,8 @@ from avatar.camera import Camera, pixel_rays, project
 from avatar.limits import joint_angles, limits
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
+from player.pose.history import Pose
 from player.pose.ik import LIMBS
-from player.pose.keyframes import Pose
 from player.pose.session import PoseSession
 from player.window.state import WindowState
 

@@ -37,8 +37,6 @@ class Show:
     capture: CaptureView | None = None
     # whether the orbit goes along with the first avatar from the start
     follow: bool = False
-    # coarser levels of detail where avatars are small
-    level_by_size: bool = False
     # whose avatars' files may be replaced while they are shown; None: they are not looked at again
     followed: Scene | None = None
     # what was assumed, for printing
@@ -90,5 +88,5 @@ def opened_show(
     return Show(
         list(avatars), [Path(entry.path).stem for entry in scene.avatars],
         Playback(tracks, live, rate=scene.rate), cameras, scene.effects, scene.background, capture,
-        follow=first.kind == "orbit", level_by_size=scene.level_by_size, notes=notes_of(tracks),
+        follow=first.kind == "orbit", notes=notes_of(tracks),
     )  # fmt: skip

@@ -58,8 +58,6 @@ class Window:
         self.parts.state.layout.panels_on = panels
         self.panels = Panels(self.parts)
         show.fit_orbit(self.parts.state.layout.area[2:])
-        if show.level_by_size:
-            self.parts.look.follow_size(True)
         # seconds that have passed for loose parts: also while the timeline stands
         self._moved = 0.0
         self._last_tick = clock()
@@ -146,12 +144,10 @@ class Window:
 
     def advance(self, dt: float) -> None:
         """Let time pass for everything. A stall counts as LONGEST_STEP; a clock going backwards stands still."""
-        step = self.parts.recorder.step
-        dt = min(max(dt if step is None else step, 0.0), LONGEST_STEP)
+        dt = min(max(dt, 0.0), LONGEST_STEP)
         self._moved += dt
         self.parts.state.playback.advance(dt)
         self.parts.viewpoint.cameras.advance(dt)
-        self.keyboard.advance(dt)
 
     def draw(self, *, keep: bool = False) -> None:
         """One frame; `keep` reads it back. A minimised window (0 x 0) is not drawn."""
@@ -189,7 +185,7 @@ class Window:
         if parts.budget is not None:
             # the work itself, whatever the screen waits for
             self.screen.context.gl.finish()
-            parts.budget.frame(1e3 * (self.clock() - began), filming=parts.recorder.film is not None)
+            parts.budget.frame(1e3 * (self.clock() - began))
         parts.prices.drawn(look, parts.state.last.poses, camera)
         if parts.wipe is not None:
             screen.use()
@@ -257,20 +253,16 @@ class Window:
             or parts.prices.wanted
             or parts.viewpoint.cameras.kind == "turntable"
             or parts.look.renderer.moves
-            or self.keyboard.carries
         )
 
     def close(self) -> None:
-        """Write what is being filmed, free everything and close the window."""
+        """Free everything and close the window."""
         parts = self.parts
-        try:
-            parts.recorder.close()
-        finally:
-            parts.state.playback.close()
-            for thing in (self.panels, parts.wipe, parts.look.renderer):
-                if thing is not None:
-                    thing.release()
-            self.screen.close()
+        parts.state.playback.close()
+        for thing in (self.panels, parts.wipe, parts.look.renderer):
+            if thing is not None:
+                thing.release()
+        self.screen.close()
 
 
 def play(

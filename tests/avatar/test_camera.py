@@ -1,4 +1,4 @@
-"""Cameras: OpenGL matrices against projection, rays against projection, files."""
+"""Cameras: OpenGL matrices against projection, rays against projection, files; mipmaps against means."""
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from avatar.camera import (
     write_camera,
     write_cameras,
 )
+from avatar.texture import mipmaps
 
 
 @pytest.fixture
@@ -35,28 +36,32 @@ def test_opengl_matrices_put_a_point_on_the_pixel_of_project(camera):
     np.testing.assert_allclose(clip[:, 3], depth, atol=1e-12)
 
 
-def test_rays_run_through_their_pixels_with_distortion(camera):
+def test_rays_run_through_their_pixels_with_distortion_and_by_default_row_by_row(camera):
     pixels = np.random.default_rng(0).uniform(0, 380, (100, 2))
     origins, directions = pixel_rays(camera, pixels)
     again, depth = project(camera, origins + 2.5 * directions)
     np.testing.assert_allclose(again, pixels, atol=1e-6)
     assert (depth > 0).all()
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-14)
-
-
-def test_default_rays_are_pixel_centres_row_by_row(camera):
     small = camera.resized((4, 3))
     origins, directions = pixel_rays(small)
     pixels, _ = project(small, origins + directions)
     np.testing.assert_allclose(pixels[[0, 1, 4]], [[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]], atol=1e-6)
 
 
-def test_orbit_at_azimuth_zero_looks_at_the_chest():
+def test_an_orbit_at_azimuth_zero_looks_at_the_chest_and_files_round_trip(camera, tmp_path):
     camera = orbit_camera((0, 1, 0), 3, 0, 0, (100, 100))
     np.testing.assert_allclose(camera.eye, [0, 1, 3], atol=1e-12)
     pixels, _ = project(camera, np.array([[0, 1, 0], [0.1, 1, 0], [0, 1.1, 0]]))
     np.testing.assert_allclose(pixels[0], [50, 50])
     assert pixels[1, 0] > 50 and pixels[2, 1] < 50  # the subject's left is the viewer's right; up is up
+    write_camera(tmp_path / "c.json", camera)
+    write_cameras(tmp_path / "c.npz", [camera, camera])
+    for again in (read_camera(tmp_path / "c.json"), read_cameras(tmp_path / "c.npz")[1]):
+        np.testing.assert_array_equal(again.K, camera.K)
+        np.testing.assert_array_equal(again.camera_from_world, camera.camera_from_world)
+        np.testing.assert_array_equal(again.distortion, camera.distortion)
+        assert again.size == camera.size
 
 
 @pytest.mark.parametrize("up", [(0, 1, 0), (0, 5, 0)])
@@ -66,11 +71,22 @@ def test_looking_straight_down_is_a_proper_camera(up):
     assert np.linalg.det(R) > 0
 
 
-def test_files_round_trip(camera, tmp_path):
-    write_camera(tmp_path / "c.json", camera)
-    write_cameras(tmp_path / "c.npz", [camera, camera])
-    for again in (read_camera(tmp_path / "c.json"), read_cameras(tmp_path / "c.npz")[1]):
-        np.testing.assert_array_equal(again.K, camera.K)
-        np.testing.assert_array_equal(again.camera_from_world, camera.camera_from_world)
-        np.testing.assert_array_equal(again.distortion, camera.distortion)
-        assert again.size == camera.size
+@pytest.mark.parametrize("channels", [1, 3, 4, 8])
+def test_a_mipmap_is_the_rounded_mean_of_blocks_of_the_one_before(channels):
+    image = np.random.default_rng(channels).integers(0, 256, (16, 8, channels), dtype=np.uint8)
+    chain = mipmaps(image, 4)
+    assert [mip.shape for mip in chain] == [(16 >> k, 8 >> k, channels) for k in range(4)]
+    assert chain[0] is image or np.array_equal(chain[0], image)
+    for fine, coarse in zip(chain, chain[1:], strict=False):
+        height, width = coarse.shape[:2]
+        mean = fine.reshape(height, 2, width, 2, channels).mean((1, 3), dtype=np.float64)
+        np.testing.assert_array_equal(coarse, np.floor(mean + 0.5))  # halves go up
+
+
+def test_an_odd_size_loses_its_last_row_and_one_texel_stays():
+    image = np.random.default_rng(1).integers(0, 256, (7, 3, 3), dtype=np.uint8)
+    chain = mipmaps(image, 5)
+    assert [mip.shape[:2] for mip in chain] == [(7, 3), (3, 1), (1, 1), (1, 1), (1, 1)]
+    np.testing.assert_array_equal(chain[1], mipmaps(image[:6, :2], 2)[1])
+    mean = chain[1][:2].mean((0, 1), dtype=np.float64)
+    np.testing.assert_array_equal(chain[2][0, 0], np.floor(mean + 0.5))

@@ -52,7 +52,7 @@ def test_a_lamp_lights_nothing_that_faces_away_and_an_eye_behind_it_sees_no_high
     np.testing.assert_array_equal(light.highlight(normals, behind), 0)
 
 
-def test_turning_light_and_surface_together_changes_nothing():
+def test_turning_light_and_surface_together_changes_nothing_and_json_gives_the_light_back():
     R = np.linalg.qr(np.random.default_rng(6).standard_normal((3, 3)))[0]
     R *= np.sign(np.linalg.det(R))
     turned = LIGHT.turned(R, "camera")
@@ -60,9 +60,6 @@ def test_turning_light_and_surface_together_changes_nothing():
     assert turned.frame == "camera"
     np.testing.assert_allclose(turned.shading(normals @ R.T), LIGHT.shading(normals), atol=1e-12)
     np.testing.assert_allclose(turned.highlight(normals @ R.T, eyes @ R.T), LIGHT.highlight(normals, eyes), atol=1e-12)
-
-
-def test_json_gives_the_same_light_back():
     assert light_from_json(json.loads(json.dumps(LIGHT.json()))) == LIGHT
 
 

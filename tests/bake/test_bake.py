@@ -1,14 +1,14 @@
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from scipy.spatial import KDTree
 
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
 from bake.bake import BakeOptions, _Clock, bake_run, broken_parts, extracted, level_plan, run_surface
-from bench.ladder.remeasure import recorded_facts, remeasured
+from bake.promises import missed_promises
 from command.errors import AssetError
 from geometry.repair import find_faults
 
@@ -52,16 +52,19 @@ def test_file_holds_what_was_promised(baked, run):
     assert avatar.provenance["preset"] == "analytic"
 
 
-def test_levels_go_down_to_a_thousand_triangles_with_atlases_of_their_own():
+def test_levels_go_down_to_a_thousand_triangles_and_a_good_bake_says_nothing():
     assert level_plan(BakeOptions()) == [(30_000, 2048), (10_000, 1024), (3_000, 512), (1_000, 256)]
     assert level_plan(BakeOptions(faces=3_000, texture=128)) == [(3_000, 128), (1_000, 64)]
     assert level_plan(BakeOptions(faces=1_000, texture=256)) == [(1_000, 256)]
+    assert missed_promises(facts_with(), BakeOptions(), 7_000_000) == []
+    assert missed_promises(facts_with(), BakeOptions(texture=4096), 20_000_000) == []
+    assert len(missed_promises(facts_with(), BakeOptions(texture=512), 20_000_000)) == 1
 
 
 @pytest.fixture(scope="module")
 def sheen(sheen_run, small, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sheen")
-    bake_run(sheen_run, folder / "sheen.glb", replace(small, quality="high"), lambda line: None)
+    bake_run(sheen_run, folder / "sheen.glb", small, lambda line: None)
     return folder, read_avatar(folder / "sheen.glb")
 
 
@@ -71,58 +74,11 @@ def test_sheen_ships_a_view_mode_that_is_nearer_to_the_cone_field(sheen):
     assert avatar.default_view in ("network", "linear")
     facts = avatar.provenance["baked"]
     scores = facts["against_field"]["cone_db"]
-    assert scores[avatar.default_view] >= scores["off"] + 1 and set(scores) >= {"off", "vertex", "linear"}
+    assert scores[avatar.default_view] >= scores["off"] + 0.5 and set(scores) >= {"off", "vertex", "linear"}
     for group in ("novel_view", "novel_pose"):
         apart = facts["against_field"][group]["cone_db"]
         assert apart[avatar.default_view] > apart["off"] and facts["against_field"][group]["paper_db"] > 24
     assert (folder / "sheen.onnx").exists() == (avatar.network is not None)
-
-
-@pytest.mark.slow
-def test_high_quality_holds_eight_features_and_the_large_network(sheen):
-    folder, avatar = sheen
-    assert avatar.provenance["baked"]["quality"] == "high"
-    assert avatar.levels[0].features.shape == (128, 128, 8) and avatar.linear.shape == (8, 3, 3)
-    assert avatar.network is not None and [w.shape for w, _ in avatar.network.layers] == [(16, 12), (16, 16), (3, 16)]
-
-
-@pytest.mark.slow
-def test_what_the_file_says_was_lost_is_found_again(sheen, sheen_run):
-    found = remeasured(sheen[1], sheen_run, {})
-    said = recorded_facts(sheen[1])["against_field"]
-    assert found["found"]["against_field"]["paper_db"] == pytest.approx(said["paper_db"], abs=1)
-    for mode, db in said["cone_db"].items():
-        assert found["found"]["against_field"]["cone_db"][mode] == pytest.approx(db, abs=1)
-    level, again = recorded_facts(sheen[1])["levels"][0], found["found"]["levels"][0]
-    assert again["faces"] == level["faces"] and sum(again["faces_by_part"].values()) == level["faces"]
-    assert again["field_to_mesh_mm"]["mean"] == pytest.approx(level["field_to_mesh_mm"]["mean"], rel=0.05)
-    for part, size in level["texel_mm_by_part"].items():
-        assert again["texel_mm_by_part"][part] == pytest.approx(size, rel=0.15)
-        square_mm = again["faces_by_part"][part] * again["triangle_mm_by_part"][part] ** 2
-        assert square_mm == pytest.approx(1e6 * part_area(sheen[1].levels[0], sheen_run, part), rel=0.15)
-
-
-def part_area(level, run, part):
-    """Square metres of a part's triangles, by the nearest vertex of the run's surface."""
-    corners = level.positions.astype(float)[level.faces]
-    _, nearest = KDTree(run.surface.vertices).query(corners.mean(1))
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    return area[run.surface.part[nearest] == PARTS.index(part)].sum()
-
-
-@pytest.mark.slow
-def test_a_file_that_lost_more_than_it_says_is_found_out(sheen, sheen_run):
-    avatar = sheen[1]
-    level = avatar.levels[0]
-    swollen = replace(
-        level, positions=level.positions + np.float32(0.003) * level.normals, base_color=level.base_color // 2
-    )
-    measured = remeasured(replace(avatar, levels=(swollen,)), sheen_run, {})
-    said, found = measured["said"], measured["found"]
-    apart, recorded = (where["levels"][0]["field_to_mesh_mm"]["mean"] for where in (found, said))
-    assert apart - recorded > 1.9
-    found, said = found["against_field"], said["against_field"]
-    assert found["paper_db"] < said["paper_db"] - 5 and found["cone_db"]["off"] < said["cone_db"]["off"] - 5
 
 
 def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small, monkeypatch):
@@ -146,3 +102,37 @@ def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small
     assert "of hand_left is more than 3 cm" in lines[0] and "the template stays for hand_left" in lines[0]
     with pytest.raises(AssetError, match="of hand_left is more than 3 cm"):
         extracted(replace(broken, with_templates=None), origin, small, clock)
+
+
+def facts_with(paper_db=41.0, steps=(1.0, 2.0), view_db=40.0):
+    mips = [{"p99": 9.0, "seen_p99": step} for step in steps]
+    level = {"seam_step": {"mips": mips}, "texel_mm_by_part": {"body": 2.0}}
+    against = {"paper_db": paper_db, "per_view_db": {"t body": view_db, "t head": None}}
+    return {"against_field": against, "levels": [level], "texture_from": "field"}
+
+
+def test_each_promise_missed_is_one_line_with_what_to_do():
+    lines = missed_promises(facts_with(34.71, (3.0, 9.87), 29.3), BakeOptions(), 20_000_000)
+    assert len(lines) == 3
+    assert "34.7 dB against the field, promised are 40" in lines[0]
+    assert "t body, 29.3 dB" in lines[0] and "--faces 60000" in lines[0]
+    assert "level 0" in lines[1] and "mip 1 9.9" in lines[1] and "mip 0" not in lines[1]
+    assert "less than 425 px tall" in lines[1] and "selfscan inspect" in lines[1]
+    assert "20.0 MB, promised are at most 12" in lines[2] and "--texture" in lines[2]
+
+
+def test_textures_from_the_videos_promise_to_be_nearer_to_them_than_the_field_is():
+    """Far from the field is what they are for."""
+    facts = facts_with(34.71) | {"texture_from": "videos", "videos": {"head": {"rms_before": 9.0, "rms_after": 4.0}}}
+    assert missed_promises(facts, BakeOptions(), 7_000_000) == []
+    facts["videos"]["head"]["rms_after"] = 9.5
+    (line,) = missed_promises(facts, BakeOptions(), 7_000_000)
+    assert line.startswith("head: its video differs by 9.5") and "--texture-from field" in line
+
+
+def test_what_was_missed_is_said_last_and_stands_in_the_file(run, small, tmp_path):
+    lines = []
+    avatar = bake_run(run, tmp_path / "a.glb", small, lines.append)
+    missed = avatar.provenance["baked"]["missed"]
+    assert missed and lines[-len(missed) :] == [f"missed: {line}" for line in missed]
+    assert json.dumps(missed[0])[1:-1].encode() in (tmp_path / "a.glb").read_bytes()

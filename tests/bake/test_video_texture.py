@@ -300,8 +300,12 @@ def test_stripes_go_on_round_a_limb_whatever_the_field_dreamt():
     assert (np.abs(by_material - truth[~seen])[inside].max(1) > 0.4).any()
 
 
-def test_skin_under_hair_is_filled_from_skin():
-    """An unseen strip of skin under a sheet of hair, whose texels are the nearest seen ones."""
+def test_pieces_are_found_across_chart_edges_and_skin_under_hair_is_filled_from_skin():
+    """Two squares whose triangles share no corner in the atlas, one above the other."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
+    found = pieces_of_faces(np.concatenate([square, square + [0, 0, 1]]), np.arange(12).reshape(4, 3))
+    assert found[0] == found[1] != found[2] == found[3]
+    # An unseen strip of skin under a sheet of hair, whose texels are the nearest seen ones.
     points = np.concatenate([sheet(0.1), sheet(0.1) + [0, 0, 0.003]])
     surface = flat_surface(points)
     piece = surface.piece
@@ -310,13 +314,6 @@ def test_skin_under_hair_is_filled_from_skin():
     dreamt = np.where((piece == 1)[:, None] | ~seen[:, None], hair, skin)
     found = filled_colors(surface, dreamt, seen)
     np.testing.assert_allclose(found, np.tile(skin, (len(found), 1)), atol=NEAR + 1e-3)
-
-
-def test_pieces_of_a_level_are_found_across_chart_edges():
-    """Two squares whose triangles share no corner in the atlas, one above the other."""
-    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
-    found = pieces_of_faces(np.concatenate([square, square + [0, 0, 1]]), np.arange(12).reshape(4, 3))
-    assert found[0] == found[1] != found[2] == found[3]
 
 
 def test_the_heads_video_is_not_believed_under_the_chin_of_estimated_people(painted):

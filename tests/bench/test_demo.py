@@ -1,13 +1,21 @@
-"""The demo keeps what is complete and goes on where it stopped."""
+"""The demo keeps what is complete and goes on where it stopped; what each effect costs."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from tiny_avatar import tiny_avatar
 
 from avatar.gltf.avatar_file import write_avatar
+from bench.bench_command import BENCH, BenchCommand
 from bench.demo import SCENE, film, stages, summary
+from bench.ladder import effects
+from command.command_line import parse
 from command.errors import AssetError
+from command.settings import settings_of
 from command.stages import Stage, run_stages
+from player.scene.effects import Effects
 from player.scene.mannequin import mannequin
 from player.scene.scene_file import read_scene
 
@@ -21,7 +29,7 @@ def writing(path, log, name):
     return Stage(name, path, run)
 
 
-def test_complete_stages_are_kept_and_all_after_a_fresh_one_run_again(tmp_path):
+def test_complete_stages_are_kept_and_one_without_its_product_stops_the_demo(tmp_path):
     log = []
     todo = [writing(tmp_path / name, log, name) for name in ("a", "b", "c")]
     (tmp_path / "a").write_text("there")
@@ -31,19 +39,23 @@ def test_complete_stages_are_kept_and_all_after_a_fresh_one_run_again(tmp_path):
     assert (tmp_path / "a").read_text() == "there" and (tmp_path / "c").read_text() == "c"
     run_stages(todo)
     assert log == ["b", "c"]
-
-
-def test_a_stage_without_its_product_stops_the_demo(tmp_path):
-    log = []
+    log.clear()
     todo = [Stage("train", tmp_path / "run.json", lambda: 0), writing(tmp_path / "b", log, "b")]
     with pytest.raises(AssetError, match="'train' ended without"):
         run_stages(todo)
     assert log == []
 
 
-def test_the_demo_ends_with_film_contact_sheet_and_report(tmp_path):
+def test_the_demo_ends_with_film_sheet_and_report_and_says_times_and_what_was_missed(tmp_path):
     names = [stage.product.relative_to(tmp_path).as_posix() for stage in stages(tmp_path)]
     assert names[-4:] == ["avatar.glb", "avatar.mp4", "contact.png", "report/bench.json"]
+    avatar = replace(mannequin(), provenance={"baked": {"missed": ["34.7 dB against the field"]}})
+    write_avatar(tmp_path / "avatar.glb", avatar)
+    text = "\n".join(summary(tmp_path, {"train": 61.2, "bake": 12.0}))
+    assert "train" in text and "61 s" in text and "73 s" in text
+    assert "missed: 34.7 dB" in text and "film.toml" in text
+    assert text.index("avatar.mp4") < text.index("contact.png") < text.index("bench.html")
+    assert text.endswith(f"selfscan play {tmp_path / 'avatar.glb'}")
 
 
 def test_the_person_calls_for_a_view_network_and_the_report_has_intervals(tmp_path, monkeypatch):
@@ -71,11 +83,29 @@ def test_the_film_is_a_scene_that_shows_the_view_mode_of_the_avatar(tmp_path, mo
     assert "orbit" in (tmp_path / "film.toml").read_text() and "antialiasing" in SCENE
 
 
-def test_the_end_says_times_and_what_the_avatar_missed(tmp_path):
-    avatar = replace(mannequin(), provenance={"baked": {"missed": ["34.7 dB against the field"]}})
-    write_avatar(tmp_path / "avatar.glb", avatar)
-    text = "\n".join(summary(tmp_path, {"train": 61.2, "bake": 12.0}))
-    assert "train" in text and "61 s" in text and "73 s" in text
-    assert "missed: 34.7 dB" in text and "film.toml" in text
-    assert text.index("avatar.mp4") < text.index("contact.png") < text.index("bench.html")
-    assert text.endswith(f"selfscan play {tmp_path / 'avatar.glb'}")
+def test_every_effect_is_timed_alone_and_together_and_the_command_needs_one():
+    names = {case.name for case in effects.cases()}
+    assert {s.name.replace("_", " ") for s in settings_of(Effects) if s.table is not None} <= names
+    everything = effects.cases()[-1].effects
+    assert all(getattr(everything, s.name) is not None for s in settings_of(Effects) if s.table is not None)
+    assert parse(BenchCommand, ["--effects", "-o", "x"], BENCH).avatar is None
+    with pytest.raises(ValueError, match="give AVATAR or --effects"):
+        BenchCommand(Path("x"))
+    with pytest.raises(ValueError, match="leave --effects out"):
+        BenchCommand(Path("x"), effects=True, run=Path("run"))
+
+
+def test_the_table_has_what_ran_and_what_it_holds(tmp_path, monkeypatch):
+    chosen = [case for case in effects.cases() if case.name in ("ground", "motion blur")]
+    monkeypatch.setattr(effects, "cases", lambda: chosen)
+    result = effects.bench_effects(tiny_avatar(), tmp_path / "out", rounds=1, size=(64, 64))
+    written = json.loads((tmp_path / "out" / "effects.json").read_text())
+    assert written["effects"] == result["effects"] and (tmp_path / "out" / "effects.png").stat().st_size > 1000
+    rows = {row["name"]: row for row in written["effects"]}
+    assert all(row["ms"] > 0 and row["times_bare"] > 0 and row["cpu_times_bare"] > 0 for row in rows.values())
+    assert (
+        rows["ground"]["ran"] == ["ground: floor", "ground: mask", "ground: shadow"] and rows["ground"]["passes"] == 3
+    )
+    assert rows["motion blur"]["bytes"] == 0 < rows["ground"]["bytes"]
+    page = (tmp_path / "out" / "effects.md").read_text()
+    assert all(f"| {name} |" in page for name in rows)

@@ -9,18 +9,14 @@ import pytest
 from PIL import Image
 from tiny_avatar import tiny_avatar, tiny_level, unit
 
-from avatar.gltf.avatar_file import read_avatar, write_avatar
-from avatar.skeleton import JOINTS, skin_transforms
-from avatar.skinning import skin_points
+from avatar.gltf.avatar_file import write_avatar
+from avatar.skeleton import JOINTS
 from bench.inspect import mesh_facts
-from bench.inspect.accuracy_sections import from_field, from_truth
+from bench.inspect.accuracy_sections import from_field
 from bench.inspect.colors import ABSENT, SEQUENTIAL, Ramp, rgb
 from bench.inspect.command import inspect
-from bench.inspect.face_section import beside_truth, region_db
 from bench.inspect.options import InspectCommand, inspect_main
 from bench.inspect.page import Check, PagePicture, PageSection, page
-from bench.score.true_mesh import read_true_mesh
-from capture.held_out import read_held_out
 from capture.read.template import part_of
 from command.errors import AssetError
 
@@ -53,12 +49,9 @@ def cube(image=None, inset=0.0):
     )
 
 
-def test_a_cut_cube_is_closed_and_in_one_piece_once_welded():
+def test_a_cut_cube_is_closed_once_welded_and_holes_fins_and_loose_pieces_are_counted():
     assert len(np.unique(mesh_facts.weld(cube()))) == 8
     assert mesh_facts.closedness(cube()) == (0, 0, 1)
-
-
-def test_holes_fins_and_loose_pieces_are_counted():
     level = cube()
     open_cube = dataclasses.replace(level, faces=level.faces[:-2])
     assert mesh_facts.closedness(open_cube) == (4, 0, 1)
@@ -72,23 +65,27 @@ def test_holes_fins_and_loose_pieces_are_counted():
     assert mesh_facts.closedness(both) == (0, 0, 2)
 
 
-def test_vertices_that_meet_but_move_apart_are_not_welded():
+def test_vertices_that_move_apart_are_not_welded_and_parts_follow_the_heaviest_joint():
     level = cube()
     joints = level.joints.copy()
     joints[:4, 0] = 7
     apart = dataclasses.replace(level, joints=joints)
     assert len(np.unique(mesh_facts.weld(apart))) == 12 and mesh_facts.closedness(apart).open_edges == 8
+    joints = np.zeros((24, 4), np.uint8)
+    joints[:, 0], joints[:, 1] = JOINTS.index("head"), JOINTS.index("left_index2")
+    weights = np.zeros((24, 4), np.uint8)
+    weights[:12, :2], weights[12:, :2] = [155, 100], [100, 155]
+    level = dataclasses.replace(level, joints=joints, weights=weights)
+    np.testing.assert_array_equal(part_of(level.skin), [1] * 12 + [2] * 12)
+    assert mesh_facts.share_of_area(level, part_of(level.skin) == 1) == pytest.approx(0.5)
 
 
-def test_texels_and_edges_are_measured_in_millimetres():
+def test_texels_and_edges_are_measured_in_millimetres_and_medians_count_square_metres():
     level = cube()  # 20 by 20 texels on a side of 100 mm
     np.testing.assert_allclose(mesh_facts.texel_millimetres(level), 5.0, rtol=1e-5)
     np.testing.assert_allclose(mesh_facts.edge_millimetres(level), 100 * (2 + np.sqrt(2)) / 3, rtol=1e-5)
     flat = dataclasses.replace(level, uv=np.zeros_like(level.uv))
     assert np.isnan(mesh_facts.texel_millimetres(flat)).all()
-
-
-def test_the_median_by_area_counts_square_metres_not_triangles():
     values, weight = np.array([1.0, 2.0, 3.0, np.nan]), np.array([1.0, 1.0, 5.0, 90.0])
     assert mesh_facts.median_by_area(values, weight) == 3.0
     assert mesh_facts.median_by_area(values, np.array([0.0, 0.0, 0.0, 1.0])) is None
@@ -121,23 +118,19 @@ def test_cone_half_angles_are_those_of_the_clamp():
     np.testing.assert_allclose(np.sort(mesh_facts.cone_degrees(half), axis=1)[0], expected, atol=1e-4)
 
 
-def test_parts_follow_the_heaviest_joint():
-    level = cube()
-    joints = np.zeros((24, 4), np.uint8)
-    joints[:, 0], joints[:, 1] = JOINTS.index("head"), JOINTS.index("left_index2")
-    weights = np.zeros((24, 4), np.uint8)
-    weights[:12, :2], weights[12:, :2] = [155, 100], [100, 155]
-    level = dataclasses.replace(level, joints=joints, weights=weights)
-    np.testing.assert_array_equal(part_of(level.skin), [1] * 12 + [2] * 12)
-    assert mesh_facts.share_of_area(level, part_of(level.skin) == 1) == pytest.approx(0.5)
-
-
-def test_a_ramp_meets_its_ends_and_marks_what_is_not_known():
+def test_a_ramp_meets_its_ends_and_a_page_escapes_what_is_not_its_own():
     colors = Ramp(0.0, 10.0).colors(np.array([-1.0, 0.0, 5.0, 10.0, 99.0, np.nan]))
     first, *_, last = SEQUENTIAL
     np.testing.assert_array_equal(colors[[0, 1, 3, 4, 5]], rgb([first, first, last, last, ABSENT]))
     between = rgb(SEQUENTIAL[2:4]).mean(0)
     assert np.abs(colors[2] - between).max() <= 0.5
+    one = PagePicture("one", b"\x89PNG", 'says "hi"')
+    text = page("<b>Eve</b>", ["from a & b"], [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)],
+                [PageSection("look", [one], None, [("x",), ("<i>",)], "a < b")])  # fmt: skip
+    assert "&lt;b&gt;Eve&lt;/b&gt;" in text and "<b>Eve" not in text and "a &lt; b" in text and "&lt;i&gt;" in text
+    assert 'src="data:image/png;base64,iVBORw==' in text and "says &quot;hi&quot;" in text
+    assert re.findall(r'(?:src|href)="(?!data:|#)', text) == [] and "<script" not in text and "url(" not in text
+    assert ">good<" in text and ">look<" in text
 
 
 def test_distance_to_a_field_is_the_farthest_of_corners_and_centre():
@@ -154,45 +147,6 @@ def test_distance_to_a_field_is_the_farthest_of_corners_and_centre():
     assert found.max() == pytest.approx(60, abs=1e-3) and found.min() == pytest.approx(-40, abs=1e-3)
 
 
-def write_truth(folder, avatar, offset):
-    """A capture whose truth is the avatar's own finest mesh in T-pose, moved."""
-    level = avatar.levels[0]
-    skin = level.skin
-    transforms = skin_transforms(np.zeros((52, 3)), avatar.joint_positions, np.zeros(3), rest=avatar.canonical_pose)
-    (folder / "truth").mkdir(parents=True)
-    np.savez(
-        folder / "truth" / "rest.npz",
-        vertices=skin_points(level.positions.astype(float), skin, transforms) + offset,
-        faces=level.faces.astype(np.int64),
-        skin_joints=skin.joints,
-        skin_weights=skin.weights,
-        joints=avatar.joint_positions,
-        part=np.zeros(len(level.positions), np.int64),
-        hair=np.zeros(len(level.positions), bool),
-        visible=np.ones(len(level.faces), bool),
-    )
-
-
-def test_distance_to_the_truth_is_measured_in_t_pose(tmp_path):
-    avatar = tiny_avatar(levels=(cube(),))
-    write_truth(tmp_path / "same", avatar, 0.0)
-    assert from_truth(avatar, avatar.levels[0], tmp_path / "same").max() < 1e-3
-    write_truth(tmp_path / "above", avatar, [0, 0.005, 0])
-    found = from_truth(avatar, avatar.levels[0], tmp_path / "above")
-    low = avatar.levels[0].positions[:, 1] < 0.01  # the bottom lies 5 mm under the moved cube, the top inside its sides
-    np.testing.assert_allclose(found[low], 5.0, atol=1e-3)
-
-
-def test_a_page_holds_everything_and_escapes_what_is_not_its_own():
-    one = PagePicture("one", b"\x89PNG", "png", 'says "hi"')
-    text = page("<b>Eve</b>", ["from a & b"], [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)],
-                [PageSection("look", [one], None, [("x",), ("<i>",)], "a < b")])  # fmt: skip
-    assert "&lt;b&gt;Eve&lt;/b&gt;" in text and "<b>Eve" not in text and "a &lt; b" in text and "&lt;i&gt;" in text
-    assert 'src="data:image/png;base64,iVBORw==' in text and "says &quot;hi&quot;" in text
-    assert re.findall(r'(?:src|href)="(?!data:|#)', text) == [] and "<script" not in text and "url(" not in text
-    assert ">good<" in text and ">look<" in text
-
-
 @pytest.fixture
 def person(tmp_path):
     """A cube for a head and a face-less tiny avatar for the rest: two levels with a view network."""
@@ -204,28 +158,24 @@ def person(tmp_path):
 def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_path, monkeypatch, capfd):
     pytest.importorskip("pyvista")
     monkeypatch.setenv("DISPLAY", ":77")  # no such display: VTK must not be sent to look for it
-    write_truth(tmp_path / "capture", tiny_avatar(), 0.0)
     out = tmp_path / "out"
-    arguments = [str(person), "-o", str(out), "--size", "64", "--turns", "3", "--joint", "left_elbow"]
-    assert inspect_main([*arguments, "--capture", str(tmp_path / "capture")]) == 0
+    arguments = [str(person), "-o", str(out), "--size", "64"]
+    assert inspect_main(arguments) == 0
     said = capfd.readouterr()
     assert "X server" not in said.err and f"{out}/inspect.html:" in said.out
     text = (out / "inspect.html").read_text()
-    pictures = sorted(p.stem for p in out.iterdir() if p.suffix in (".png", ".webp"))
+    pictures = sorted(p.stem for p in out.iterdir() if p.suffix == ".png")
     assert text.count("<img ") == len(pictures)
-    views, seen = "look_off look_network look_change face turntable level_0 level_1", "cones seen triangles truth"
-    charts = "parts weights weight_left_elbow texels atlas seams_mip0"
+    views, seen = "look_off look_network look_change face level_0 level_1", "cones seen triangles"
+    charts = "parts weights texels atlas seams_mip0"
     assert {*views.split(), *charts.split(), *seen.split()} <= set(pictures)
     for name in pictures:
-        path = next(out.glob(f"{name}.*"))
-        with Image.open(path) as image:
-            assert getattr(image, "n_frames", 1) == (3 if name == "turntable" else 1)
+        with Image.open(out / f"{name}.png") as image:
             assert np.asarray(image.convert("RGB")).std() > 1  # something is drawn
     with Image.open(out / "parts.png") as image:
         assert image.size == (64 * 3, 64)
     facts = json.loads((out / "inspect.json").read_text())
     assert facts["levels"][0]["faces"] == 6 and facts["bytes"] == person.stat().st_size
-    assert facts["truth"]["total"]["p2s_mm"] < 1e-3
     assert {check["what"] for check in facts["checks"] if check["good"] is False} >= {
         "open edges, and edges of more than two triangles, level by level"
     }
@@ -233,31 +183,11 @@ def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").write_text("mine")
     with pytest.raises(AssetError, match="expected an empty or absent folder"):
-        inspect(InspectCommand(person, tmp_path / "other", size=64, turns=2))
+        inspect(InspectCommand(person, tmp_path / "other", size=64))
     assert (tmp_path / "other" / "file").read_text() == "mine"
 
 
 def test_bad_input_is_told_and_leaves_nothing(person, tmp_path):
-    for option in ("--run", "--capture"):
-        with pytest.raises(AssetError, match="nowhere"):
-            inspect_main([str(person), "-o", str(tmp_path / "out"), option, str(tmp_path / "nowhere")])
+    with pytest.raises(AssetError, match="nowhere"):
+        inspect_main([str(person), "-o", str(tmp_path / "out"), "--run", str(tmp_path / "nowhere")])
     assert not (tmp_path / "out").exists()
-
-
-def test_the_face_is_scored_beside_true_close_ups(oracle, context):
-    capture, avatar = oracle[0], read_avatar(oracle[1])
-    truth = read_true_mesh(capture)
-    points = truth.canonical()
-    # the front of the head stands for eyes: the striped body has none
-    front = (truth.part == 1) & (points[:, 2] > np.quantile(points[truth.part == 1, 2], 0.8))
-    truth = dataclasses.replace(truth, eye=front)
-    views = [view for view in read_held_out(capture, "novel_pose") if view.view == "head"]
-    close_ups = beside_truth(context, avatar, truth, views)
-    assert len(close_ups) == len(views)
-    head, eyes = region_db(close_ups, "head"), region_db(close_ups, "eyes")
-    assert head is not None and head > 20  # the avatar is the truth itself
-    assert (eyes is not None) == any(one.eyes.any() for one in close_ups)
-    darker = [one._replace(drawn=one.truth - 0.1) for one in close_ups]
-    assert region_db(darker, "head") == pytest.approx(20.0, abs=0.01)
-    nothing = [one._replace(eyes=np.zeros_like(one.eyes)) for one in close_ups]
-    assert region_db(nothing, "eyes") is None

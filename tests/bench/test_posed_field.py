@@ -1,17 +1,24 @@
 """Which direction the field is asked at for a pixel: the global one, the pixel's own, or that inside the cone."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
-from posed_fields import NearField, run_of, view_of
+from painted_capture import free_subject
 from scipy import ndimage
+from scipy.spatial import KDTree
 
 from avatar.camera import orbit_camera, pixel_rays
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE
+from bench.field.posed_field import PosedField
 from bench.field.rungs import draw_volume, field_rungs
 from bench.ladder.rung_pictures import ComparedFrame
 from train.fused import FusedField
+from train.preset import DEMO
+from train.run import Run
+from train.surface import Surface
 
 TURN = np.array([0.0, 0.8, 0.1])
 SIZE = (96, 96)
@@ -23,7 +30,7 @@ class DirectionField(FusedField):
     def __init__(self):
         torch.nn.Module.__init__(self)
 
-    def distance(self, points, *, grad=False):
+    def distance(self, points):
         return torch.zeros(len(points))
 
     def color(self, points, directions):
@@ -83,21 +90,60 @@ def drawn(view, rasteriser):
     return {mode: 2 * picture.color[mask] - 1 for mode, picture in pictures.items()}, rays
 
 
-def test_with_the_ray_transformation_every_pixel_asks_at_the_global_direction(drawn):
-    asked, _ = drawn
+def test_pixels_ask_along_the_axis_their_own_ray_or_a_cone_between_the_two(drawn):
+    asked, rays = drawn
     assert len(asked["global"]) > 300
     np.testing.assert_allclose(asked["global"], np.tile([0, 0, -1], (len(asked["global"]), 1)), atol=1e-6)
-
-
-def test_without_it_a_pixel_asks_at_its_own_ray_turned_into_the_canonical_frame(drawn):
-    asked, rays = drawn
     canonical = rays @ matrix_from_axis_angle(TURN)  # R^T d, row by row
     np.testing.assert_allclose(asked["own"], canonical, atol=1e-5)
-
-
-def test_the_cone_lies_between_the_two(drawn):
-    asked, _ = drawn
     to_axis = {mode: np.arccos(np.clip(-d[:, 2], -1, 1)) for mode, d in asked.items()}
     assert to_axis["own"].max() > 0.5 and to_axis["own"].min() > 0.02
     assert (to_axis["cone"] < to_axis["own"]).all() and (to_axis["cone"] > 0.01).all()
     assert to_axis["cone"].max() < 0.2  # 1.6 deviations of .1: nowhere beyond what was seen
+
+
+def run_of(make_field):
+    """The built-in body as a run's surface, over a field made for its canonical vertices."""
+    subject = free_subject("male")
+    count = len(subject.vertices)
+    surface = Surface(
+        vertices=subject.vertices,
+        faces=subject.faces,
+        normals=np.tile([0.0, 0, 1], (count, 1)),
+        part=np.zeros(count, np.int64),
+        skin=subject.skin,
+        view_count=np.full(count, 40.0),
+        view_mean=np.tile([0.0, 0, -0.9], (count, 1)),
+        view_covariance=np.tile([0.01, 0, 0, 0.01, 0, 0], (count, 1)),
+        layer=np.zeros(count, np.int64),
+    )
+    return Run(Path("run"), make_field(subject.vertices, subject.faces), surface, subject, DEMO, {})
+
+
+def view_of(make_field):
+    """The same ready for drawing."""
+    return PosedField(run_of(make_field))
+
+
+class NearField(FusedField):
+    """The signed distance to the tangent plane of the nearest vertex, in smooth stripes."""
+
+    def __init__(self, vertices, faces):
+        torch.nn.Module.__init__(self)
+        corners = vertices[faces]
+        normals = np.zeros_like(vertices)
+        np.add.at(normals, faces, np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, None])
+        self.tree, self.at = KDTree(vertices), vertices
+        self.register_buffer("weights", torch.zeros(1000))
+        self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def distance(self, points):
+        points = points.double().numpy()
+        near = self.tree.query(points)[1]
+        return torch.as_tensor(((points - self.at[near]) * self.normals[near]).sum(1)).float()
+
+    def normal(self, points):
+        return torch.as_tensor(self.normals[self.tree.query(points.double().numpy())[1]]).float()
+
+    def color(self, points, directions):
+        return 0.5 + 0.3 * torch.sin(20 * points)

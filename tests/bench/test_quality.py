@@ -12,9 +12,10 @@ from avatar.camera import Camera, look_at, pinhole, pixel_rays
 from avatar.gltf.avatar_file import read_avatar
 from bench.eval_command import eval_main
 from bench.score.picture_scores import box_pixels, is_t_pose, region_of
-from bench.score.quality import evaluate, not_chosen_on, view_modes
+from bench.score.quality import evaluate
 from bench.score.quality_table import view_mode_lines
 from bench.score.true_mesh import read_true_mesh
+from bench.score.view_modes import view_modes
 from capture.held_out import read_held_out
 from command.errors import AssetError
 from experiments.ceiling import ceiling_surface
@@ -39,20 +40,15 @@ def test_a_perfect_avatar_has_no_distance_and_near_perfect_pictures(result, regi
     assert novel["lpips"] is None and "weights" in novel["reasons"]["lpips"]
 
 
-def test_t_pose_frames_are_apart_from_novel_poses_but_are_the_novel_views(result):
+def test_a_perfect_avatar_has_true_outlines_its_own_weights_and_t_pose_frames_apart(result):
     assert result["beside"]["poses"] == 1
     assert result["beside"]["t_pose_frames"]["total"]["psnr_db"] > 30
     assert result["novel_view"]["total"]["psnr_db"] > 30
-
-
-def test_a_perfect_avatar_has_the_true_outlines_from_every_side(result):
     for region in ("head", "hands", "total"):
         scores = result["beside"]["t_pose"][region]
         assert 0.97 < scores["outline_worst"] <= scores["outline_iou"]
-
-
-def test_own_rig_weights_leave_a_perfect_avatar_where_it_is(result):
     assert result["beside"]["own_weights"]["total"]["chamfer_cm"] < 0.03
+    assert result["baked_vs_field"] == {"paper_db": 40.0, "network_db": None}
 
 
 def test_a_perfect_template_has_no_ceiling(oracle):
@@ -62,10 +58,6 @@ def test_a_perfect_template_has_no_ceiling(oracle):
     apart = ceiling_surface(capture, truth).posed(view.axis_angle, view.root) - truth.posed(view.axis_angle, view.root)
     outside = np.unique(truth.faces[truth.visible])
     assert np.quantile(np.linalg.norm(apart[outside], axis=1), 0.95) < 5e-4  # metres; the rest are lips and eyelids
-
-
-def test_baked_against_field_is_read_from_the_file(result):
-    assert result["baked_vs_field"] == {"paper_db": 40.0, "network_db": None}
 
 
 def test_every_view_mode_stands_beside_the_truth(result):
@@ -86,7 +78,7 @@ def test_a_view_mode_farther_from_the_truth_loses(oracle):
     level = avatar.levels[0]
     level = replace(level, view_seen=np.ones_like(level.view_seen), features=np.full((4, 4, 4), 255, np.uint8))
     tinted = replace(avatar, levels=(level,), linear=np.full((4, 3, 3), 0.1, np.float32), default_view="linear")
-    found = view_modes(tinted, {}, {name: read_held_out(capture, name) for name in ("novel_pose", "novel_view")})
+    found = view_modes(tinted, {name: read_held_out(capture, name) for name in ("novel_pose", "novel_view")})
     assert (found["default"], found["best"]) == ("linear", "off")
     for name in ("novel_pose", "novel_view"):
         scores = found["psnr_db"][name]
@@ -96,20 +88,6 @@ def test_a_view_mode_farther_from_the_truth_loses(oracle):
     lines = view_mode_lines({"view_modes": found})
     assert any(line.startswith("- novel pose, vertex: total") for line in lines)
     assert lines[-1].startswith("- default linear; best here off (nearest to the true pictures: off")
-
-
-def test_pictures_on_which_the_mode_was_chosen_do_not_judge_it(oracle):
-    held_out = {name: read_held_out(oracle[0], name) for name in ("novel_pose", "novel_view")}
-    facts = {"subject": "striped", "light": "even", "seed": 0}
-    first = {name: [min(view.pose_index for view in views)] for name, views in held_out.items()}
-    recorded = {"by": "truth", **facts, "chosen_on": {"poses": first}}
-    judged = not_chosen_on(recorded, facts, held_out)
-    for name, views in judged.items():
-        assert {v.pose_index for v in views} == {v.pose_index for v in held_out[name]} - set(first[name])
-    assert not_chosen_on(recorded, {**facts, "seed": 1}, held_out) is held_out
-    assert not_chosen_on(None, facts, held_out) is held_out
-    everything = {name: [view.pose_index for view in views] for name, views in held_out.items()}
-    assert not_chosen_on(recorded | {"chosen_on": {"poses": everything}}, facts, held_out) is held_out
 
 
 def test_the_command_prints_a_table_and_writes_json(oracle, tmp_path, capsys, result, monkeypatch):
@@ -163,29 +141,23 @@ def test_box_pixels_are_those_of_the_projected_box():
     assert differing.sum() <= 3  # rays that graze an edge for less than a marching step
 
 
-def test_a_part_is_compared_within_five_pixels_of_its_true_mask(oracle):
+def test_a_part_is_compared_within_five_pixels_of_its_mask_and_only_the_t_pose_counts_as_one(oracle):
     capture, _, _ = oracle
     view = next(v for v in read_held_out(capture, "novel_pose") if v.view == "hand_left")
     mask, around = region_of(view, "left_hand")
     assert mask.any() and not around.all()
     np.testing.assert_array_equal(around, np.asarray(distance_transform_cdt(~mask, "chessboard")) <= 5)
-
-
-def test_only_the_t_pose_counts_as_one(oracle):
     views = read_held_out(oracle[0], "novel_pose")
     assert [is_t_pose(v) for v in views if v.view == "body"] == [False, True]
 
 
-def test_a_capture_without_truth_is_refused_by_name(oracle, tmp_path):
+def test_a_capture_without_truth_and_a_field_of_the_wrong_shape_are_refused_by_name(oracle, tmp_path):
     capture, avatar, _ = oracle
     (tmp_path / "capture.json").write_text((capture / "capture.json").read_text())
     with pytest.raises(AssetError, match=r"truth/rest\.npz"):
         eval_main([str(avatar), str(tmp_path)])
     with pytest.raises(AssetError, match=r"nothing\.glb"):
         eval_main([str(tmp_path / "nothing.glb"), str(capture)])
-
-
-def test_a_field_of_the_wrong_shape_is_named(oracle, tmp_path):
     shutil.copytree(oracle[0] / "truth", tmp_path / "truth")
     path = tmp_path / "truth" / "rest.npz"
     with np.load(path) as data:

@@ -1,5 +1,11 @@
-"""Settings are written once: names, types, limits, defaults and help of a command line come from a dataclass."""
+"""Settings are written once, in a dataclass; the board that shows how far a command is."""
 
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -7,7 +13,10 @@ from typing import Annotated, Literal
 import pytest
 
 from command.command_line import Help, Hidden, Option, OptionGroup, parse, parser_of
+from command.interrupt import Stopped
+from command.progress import Progress, ProgressBoard, clock_time, progress
 from command.settings import LARGEST_INTEGER, Above, AtLeast, AtMost, OneOf, check, settings_json
+from command.stages import Stage, run_stages
 
 ABOUT = Help("selfscan try", "Tries settings.", "example: selfscan try a b")
 
@@ -41,11 +50,8 @@ class Try:
             raise ValueError("count 2 cannot be forced")
 
 
-def test_what_is_not_given_is_the_default():
+def test_what_is_not_given_is_the_default_and_every_kind_of_field_is_read():
     assert parse(Try, ["a", "-o", "b"], ABOUT) == Try(Path("a"), Path("b"))
-
-
-def test_every_kind_of_field_is_read():
     words = ["a", "x", "y", "-o", "b", "--count", "5", "--rate", "24", "--seconds", "1.5",
              "--light", "soft", "--quality", "high", "--no-truth", "--force", "--joint", "neck",
              "--joint", "head", "--compare"]  # fmt: skip
@@ -106,18 +112,17 @@ def test_help_has_groups_and_help_all_the_rare_options_too(capsys):
     assert parse(Try, ["a", "-o", "b", "--seed", "3"], ABOUT).seed == 3
 
 
-def test_records_made_in_code_obey_the_same_limits():
+def test_records_obey_limits_and_become_json():
     with pytest.raises(ValueError, match="count: expected at least 1, found 0"):
         Try(Path("a"), Path("b"), count=0)
     with pytest.raises(ValueError, match="rate: expected a finite number, found inf"):
         Try(Path("a"), Path("b"), rate=float("inf"))
     with pytest.raises(ValueError, match="count: expected at most 9007199254740992, found a number of 17 digits"):
         Try(Path("a"), Path("b"), count=LARGEST_INTEGER * 10)
-
-
-def test_settings_become_json():
     facts_of = settings_json(Try(Path("a"), Path("b"), joint=("neck",)))
     assert facts_of["source"] == "a" and facts_of["joint"] == ["neck"] and facts_of["rate"] == 30.0
+    made = parse(Both, ["r", "a", "-o", "b", "--count", "9"], ABOUT)
+    assert made == Both(Path("r"), Try(Path("a"), Path("b"), count=9))
 
 
 @dataclass(frozen=True)
@@ -128,6 +133,126 @@ class Both:
     inner: Annotated[Try, "what is tried"]
 
 
-def test_settings_inside_settings_are_options_too():
-    made = parse(Both, ["r", "a", "-o", "b", "--count", "9"], ABOUT)
-    assert made == Both(Path("r"), Try(Path("a"), Path("b"), count=9))
+def test_the_time_left_schedules_what_waits_on_the_workers():
+    """Two workers, 0.1 s a step: at 6 s, 5 s each remain, then a waiting job of 10 s."""
+    now = [0.0]
+    board = ProgressBoard({"body": 100, "head": 100, "hand": 100}, 2, stream=io.StringIO(), clock=lambda: now[0])
+    assert board.left() is None
+    board.begin("body")
+    board.begin("head")
+    now[0] = 1.0
+    board.update("body", 0)
+    board.update("head", 0)
+    now[0] = 6.0
+    board.update("body", 50, "PSNR 20.0 dB")
+    board.update("head", 50)
+    left = board.left()
+    assert left is not None and abs(left - 15.0) < 1e-9
+    lines = board.lines()
+    assert lines[0] == "body  [########........] 50/100  0:05 left  PSNR 20.0 dB"
+    assert len(lines) == 3 and lines[2].startswith("all ") and lines[2].endswith("0:06 so far, 0:15 left")
+    for name in ("body", "head"):
+        board.end(name)
+    assert [line.split()[0] for line in board.lines()] == ["all"]
+
+
+def test_preparation_is_said_and_times_are_read_at_a_glance():
+    now = [0.0]
+    board = ProgressBoard({"body": 100}, 1, stream=io.StringIO(), clock=lambda: now[0])
+    board.begin("body")
+    now[0] = 5.0
+    assert board.lines()[0] == "body  preparing, 0:05 so far"
+    assert [clock_time(t) for t in (7.4, 754.0, 3723.0)] == ["0:07", "12:34", "1:02:03"]
+    stream = io.StringIO()
+    report = Progress("fitting", 10, stream)
+    report.began = report.shown = time.monotonic() - 720
+    report.update(1.5)
+    assert stream.getvalue() == "fitting 1/10  12:00, 1:08:00 left\n"
+
+
+def test_a_terminal_is_redrawn_in_place():
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    now = [0.0]
+    stream = Terminal()
+    board = ProgressBoard({"body": 10}, 1, stream=stream, clock=lambda: now[0])
+    board.begin("body")
+    now[0] = 1.0
+    board.update("body", 1)
+    assert "\x1b[" not in stream.getvalue()
+    now[0] = 2.0
+    board.update("body", 2)
+    assert stream.getvalue().count("\x1b[2A\x1b[J") == 1  # two lines up, and what was there is gone
+
+
+class Gone(io.StringIO):
+    """A stream whose reader has gone."""
+
+    def write(self, text):
+        raise BrokenPipeError
+
+
+def test_progress_that_cannot_be_shown_stops_no_work(monkeypatch):
+    assert list(progress(range(5), "frames")) == [0, 1, 2, 3, 4]
+    closed = io.StringIO()
+    closed.close()
+    monkeypatch.setattr("sys.stdout", Gone())
+    for stream in (Gone(), closed):
+        report = Progress("frames", 2, stream)
+        report.began = report.shown = -100.0
+        report.update(1)
+        report.update(2)
+        board = ProgressBoard({"body": 2}, 1, stream=stream)
+        board.begin("body")
+        board.update("body", 1)
+        board.say("half")
+        board.refresh(now=True)
+        board.close()
+    monkeypatch.setattr("sys.stderr", None)  # as with 2>&-
+    Progress("frames", 2).update(1)
+    ProgressBoard({"body": 2}, 1).refresh(now=True)
+
+
+CHILD = """
+import pathlib, signal, sys, time
+def stop(number, frame):
+    time.sleep(0.5)
+    pathlib.Path(sys.argv[1]).write_text("saved")
+    sys.exit(128 + number)
+signal.signal(signal.SIGTERM, stop)
+signal.signal(signal.SIGINT, stop)
+print("ready", flush=True)
+time.sleep(600)
+"""
+PARENT = """
+import sys
+from pathlib import Path
+from command.interrupt import prompt_stop
+from command.stages import Stage, command, run_stages
+out = Path(sys.argv[1])
+with prompt_stop():
+    run_stages([Stage("work", out / "product", command("child", out / "saved"))])
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_waits_until_the_stage_has_saved_what_it_did(tmp_path, number):
+    (tmp_path / "child.py").write_text(CHILD)
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    words = [sys.executable, "-c", PARENT, str(tmp_path)]
+    with subprocess.Popen(words, env={**os.environ, "PYTHONPATH": paths}, stdout=subprocess.PIPE, text=True) as process:
+        while "ready" not in process.stdout.readline():
+            assert process.poll() is None
+        time.sleep(0.1)
+        process.send_signal(number)
+        assert process.wait() != 0
+    assert (tmp_path / "saved").read_text() == "saved"
+
+
+@pytest.mark.parametrize("code", [130, -2, 143, -15])
+def test_a_stage_that_was_stopped_stops_the_work(tmp_path, code):
+    with pytest.raises(Stopped) as stopped:
+        run_stages([Stage("work", tmp_path / "product", lambda: code)])
+    assert stopped.value.number in (signal.SIGINT, signal.SIGTERM)

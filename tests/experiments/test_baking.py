@@ -180,15 +180,14 @@ def test_numbers_of_fewer_bits_change_the_picture_the_less_the_more_bits_they_ke
     assert shipped["frame"] is None and shipped["largest"] <= 2
 
 
-def test_a_person_and_a_camera_moved_together_give_the_same_view(oracle, tmp_path):
+def test_bodies_and_cameras_moved_together_give_one_view_and_without_truth_the_field_is_compared(
+    oracle, tmp_path, monkeypatch
+):
     seen: Seen = read_references(tmp_path, oracle[0], 1).seen[0]
     pose, camera = moved(seen.pose, seen.camera)
     point = seen.pose[1] @ seen.camera.camera_from_world[:3, :3].T + seen.camera.camera_from_world[:3, 3]
     there = pose[1] @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     np.testing.assert_allclose(there, point, atol=1e-9)
-
-
-def test_without_truth_avatars_are_compared_with_the_field_in_the_bake_s_own_views(monkeypatch, tmp_path):
     monkeypatch.setattr(experiments.baking_scores, "run_joints", lambda run: mannequin(texture=16).joint_positions)
     references: References = read_references(tmp_path, None, 3)
     assert not references.has_truth and references.names == "field"

@@ -32,7 +32,7 @@ def compared(region: str, *, albedo: float, captured: float, gain: float = 1.0) 
     return Compared(region, away, pairs, lambda gain: true + 0.01 * gain, true)
 
 
-def test_scores_are_those_of_all_pixels_and_of_the_ones_turned_away():
+def test_scores_are_of_all_pixels_and_those_turned_away_with_one_gain_between_albedo_and_texture():
     found = scores([compared("total", albedo=0.0, captured=0.1, gain=0.5)])
     # mean of 90 pixels off by .1 and 10 by .3
     assert found["captured"]["total"] == pytest.approx(-10 * np.log10(0.9 * 0.01 + 0.1 * 0.09), abs=0.006)
@@ -40,9 +40,6 @@ def test_scores_are_those_of_all_pixels_and_of_the_ones_turned_away():
     assert found["mean_light"]["total"] == pytest.approx(-20 * np.log10(0.2), abs=0.006)
     assert found["turned_away"]["share"]["total"] == 0.1
     assert found["captured"]["head"] is None
-
-
-def test_one_gain_stands_between_albedo_and_texture():
     pictures = [
         compared("total", albedo=0.0, captured=0.1, gain=0.5),
         compared("hands", albedo=0, captured=0, gain=0.5),

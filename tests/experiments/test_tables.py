@@ -1,35 +1,38 @@
-"""The tables command on a tiny person: rows in processes' stead in this one, training by a small preset."""
+"""The tables, presets and single network of a tiny person, whose rows and trainings run in this process."""
 
 import json
 import shutil
-import subprocess
-import sys
-
-import pytest
-from painted_capture import write_capture
-
-import experiments.table_row
-import experiments.tables
-from command.errors import AssetError
-from experiments.paper_numbers import PAPER_IMAGE
-from experiments.table_page import as_in_paper, mean_of, page
-from experiments.tables import main
-
-# the demo preset in name and networks, so that its run reads as one; everything else small
-TRAIN = """
-import sys
 from dataclasses import replace
 from pathlib import Path
-from train.command import TrainOptions
-from train.preset import DEMO
-from experiments.single import train_single
-from train.stages import train
-parts = [replace(p, iterations=6, cell=max(p.cell, .006), spacing=max(p.spacing, .006)) for p in DEMO.parts]
-small = replace(DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(.03, .015, .008),
-                parts=tuple(parts))
-options = TrainOptions(capture=Path(sys.argv[1]), out=Path(sys.argv[2]))
-train_single(options, small, Path(sys.argv[3])) if sys.argv[3:] else train(options, small)
-"""
+
+import numpy as np
+import pytest
+import torch
+from painted_capture import write_capture
+from tiny import TINY, tiny, tiny_training
+
+import experiments.presets
+import experiments.table_row
+import experiments.tables
+from capture.fit.refine import with_refined
+from capture.folder import read_capture
+from command.errors import AssetError
+from experiments import single
+from experiments.paper_numbers import PAPER_IMAGE
+from experiments.presets import checkpoints
+from experiments.presets import main as compared
+from experiments.table_page import as_in_paper, mean_of, page
+from experiments.tables import main
+from experiments.variants import seam_steps
+from train import run as run_folder
+from train.command import main as train
+from train.preset import DEMO, PRESETS
+from train.template_grid import TemplateGrid
+
+# the demo preset in name and networks, so that its run reads as one; everything else small
+SMALL = replace(
+    TINY, parts=tuple(replace(p, networks=own.networks) for p, own in zip(TINY.parts, DEMO.parts, strict=True))
+)
 ROWS = ["ours", "landmarks_only", "no_L_g", "no_fusion", "single", "no_ray_transform"]
 
 
@@ -37,12 +40,17 @@ def in_process(*words):
     """A command in this process: rows are measured, a training is the small one above."""
     if words[0] == "experiments.table_row":
         return lambda: experiments.table_row.main([str(word) for word in words[1:]])
-    single = words[0] == "experiments.single"
-    assert single or words[:2] == ("selfscan", "train")
-    capture, o, run, *rest = words[1 if single else 2 :]
-    assert o == "-o" and rest[:2] == ["--preset", "demo"] and single == ("--head-from" in rest)
-    script = [sys.executable, "-c", TRAIN, capture, run, *([rest[rest.index("--head-from") + 1]] if single else [])]
-    return lambda: subprocess.run(script, check=False).returncode
+    alone = words[0] == "experiments.single"
+    assert alone or words[:2] == ("selfscan", "train")
+    capture, o, run, *rest = words[1 if alone else 2 :]
+    assert o == "-o" and rest[:2] == ["--preset", "demo"] and alone == ("--head-from" in rest)
+
+    def trained() -> int:
+        options = [str(word) for word in rest[2:]]
+        tiny_training(Path(capture), Path(run), *options, preset=SMALL, command=single.main if alone else train)
+        return 0
+
+    return trained
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +118,7 @@ def result(row, seed=0, name="a", total=20.0, neck=1.0):
     }  # fmt: skip
 
 
-def test_order_is_judged_on_the_same_people_and_by_every_measured_number():
+def test_order_is_judged_by_every_number_on_the_same_people_and_seeds_give_mean_and_deviation():
     ours = [result("ours", total=22.0), result("ours", name="b", total=10.0)]
     worse = [result("no_ray_transform", total=21.0)]
     verdict = as_in_paper("no_ray_transform", ours, worse, PAPER_IMAGE)
@@ -119,9 +127,6 @@ def test_order_is_judged_on_the_same_people_and_by_every_measured_number():
     worse[0]["novel_pose"]["head"] |= {"ssim": 0.8, "psnr_db": 23.0}
     assert as_in_paper("no_ray_transform", ours, worse, PAPER_IMAGE).startswith("no: head PSNR, hands SSIM")
     assert as_in_paper("single", ours, [], PAPER_IMAGE) == "not measured"
-
-
-def test_seeds_give_mean_and_deviation_of_the_means_over_people():
     results = [result("ours", seed, name, total) for seed, name, total in
                [(0, "a", 20.0), (0, "b", 22.0), (1, "a", 22.0), (1, "b", 24.0)]]  # fmt: skip
     mean = mean_of(results, "novel_pose", "total", "psnr_db")
@@ -148,3 +153,110 @@ def test_a_row_of_another_training_is_trained_apart_and_asked_for_it(people, mon
     assert words[:2] == ["selfscan", "train"] and words[4].endswith("striped_light_off")
     assert words[-2:] == ["--without", "light"]
     capsys.readouterr()
+
+
+@pytest.fixture(scope="module")
+def capture(tiny_capture):
+    return read_capture(tiny_capture)
+
+
+def trained(capture, out, *options):
+    """The run of a single network with these options."""
+    return run_folder.read_run(tiny_training(capture.path, out, *options, command=single.main))
+
+
+@pytest.mark.slow
+def test_a_single_network_has_the_parameters_rays_steps_and_head_of_the_four_parts(
+    capture, tiny_run, tmp_path, monkeypatch
+):
+    # a place that only this run has
+    own_run = Path(shutil.copytree(tiny_run, tmp_path / "own"))
+    facts = json.loads((own_run / "run.json").read_text())
+    place = np.linalg.inv(facts["head_from_canonical"])
+    place[:3, 3] += [0.001, 0.002, -0.003]
+    facts["head_from_canonical"] = np.linalg.inv(place).tolist()
+    (own_run / "run.json").write_text(json.dumps(facts))
+    given, rays_of = [], single.single_rays
+    remembered = lambda job, *rest: given.append(job.canonical_from_head) or rays_of(job, *rest)
+    monkeypatch.setattr(single, "single_rays", remembered)
+    run = trained(capture, tmp_path / "run", "--head-from", str(own_run))
+    np.testing.assert_allclose(given[0], place, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.inv(run.provenance["head_from_canonical"]), place, atol=1e-12)
+    assert np.array_equal(run.provenance["canonical_from_head_field"], np.eye(4))
+    with pytest.raises(AssetError, match="is a single network; --head-from needs a run of four parts"):
+        trained(capture, tmp_path / "again", "--head-from", str(run.path))
+    assert len(run.field.fields) == 1 and run.provenance["parts"]["single"]["steps"] == 4 * 6
+    field = run.field.field(0)
+    assert len(field.appearance.weight) == sum(len(video.images) for video in capture.videos.values())
+    body = field.appearance.weight[: len(capture.videos["body"].images)].mean(0)
+    torch.testing.assert_close(field.reference, body)
+    # the same vertices have hands and a head, with their own videos' view statistics
+    assert set(np.unique(run.surface.part)) == {0, 1, 2, 3}
+    assert all((run.surface.view_count[run.surface.part == part] > 0).mean() > 0.4 for part in range(4))
+    points = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
+    assert run.field.distance(points).abs().quantile(0.95) < 0.003
+    assert seam_steps(run) == {}
+
+
+@pytest.mark.slow
+def test_a_single_network_without_a_run_of_ours_has_body_and_head_placed_first(capture, tmp_path):
+    run = trained(capture, tmp_path / "run", "--refine-poses", "on")
+    registration = run.provenance["registration"]
+    assert registration["from"] == "body and head trained for it"
+    assert "moved_mm" in registration["video"] or registration["video"]["kept"] == "surfaces"
+    assert set(run.provenance["parts"]) == {"single"} and len(run.field.fields) == 1
+    # the poses that the body learned for the placement are not the single network's
+    assert "poses_learned_deg" not in run.provenance["parts"]["single"]
+    aligned = with_refined(capture, run.path).videos["body"].axis_angle
+    assert np.abs(aligned - capture.videos["body"].axis_angle).max() > 1e-4
+
+
+def test_the_demo_single_network_has_as_many_parameters_as_the_parts_together(capture):
+    template = TemplateGrid(torch.zeros(2, 2, 2), torch.zeros(3), 1.0)
+    count = lambda index, part, frames: sum(
+        p.numel() for p in run_folder.build_field(capture.subject, index, part, template, frames).parameters()
+    )
+    parts = sum(count(index, part, 40) for index, part in enumerate(DEMO.parts))
+    alone = count(0, single.single_part(DEMO), 160)
+    assert abs(alone / parts - 1) < 0.02
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """presets.json of a small demo preset on a hand of eight frames, and what the trainer was given."""
+    folder = tmp_path_factory.mktemp("presets")
+    capture = write_capture(folder / "person", frames=8)
+    given = {}
+
+    def watched(field, rays, training, **others):
+        given.update(frames=rays.frame.unique().tolist(), before=field.appearance.weight.detach().clone())
+        skipped = train_field(field, rays, training, **others)
+        given["after"] = field.appearance.weight.detach().clone()
+        return skipped
+
+    train_field = experiments.presets.train_field
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PRESETS, "demo", tiny(DEMO, rays=128))
+        patch.setattr(experiments.presets, "train_field", watched)
+        words = [str(folder / "out"), "--capture", str(capture), "--part", "hand_left", "--presets", "demo"]
+        assert compared([*words, "--iterations", "60"]) == 0
+    return json.loads((folder / "out" / "presets.json").read_text()), folder / "out", given
+
+
+def test_the_held_out_frame_trains_nothing_and_is_drawn_with_the_mean_code(measured):
+    _, _, given = measured
+    assert given["frames"] == [0, 1, 2, 4, 5, 6, 7]
+    torch.testing.assert_close(given["after"][3], given["after"][given["frames"]].mean(0), rtol=0.02, atol=1e-4)
+    assert (given["before"][3] != given["after"][3]).any()
+
+
+def test_scores_rise_with_the_steps_and_are_taken_where_the_trainer_reports(measured):
+    preset = measured[0]["presets"][0]
+    points = preset["checkpoints"]
+    assert points[-1]["iteration"] == 60 and points[-1]["psnr_db"] > points[0]["psnr_db"] + 1
+    assert all(a["seconds"] < b["seconds"] for a, b in zip(points, points[1:]))
+    assert preset["held_out_rays"] > 20
+    for iterations in (7, 60, 1000, 1505):
+        steps = checkpoints(iterations)
+        assert steps[-1] == iterations and all(step % 10 == 0 for step in steps[:-1])
+    assert checkpoints(1000)[0] == 20

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_disk import mounted
+from memory_use import mounted
 
 import files.whole
 from command.errors import AssetError
@@ -30,20 +30,17 @@ def everything(folder: Path) -> list[str]:
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
 
 
-def test_an_interrupted_file_leaves_the_old_one_and_no_litter(tmp_path):
+def test_what_is_interrupted_leaves_the_old_file_no_folder_and_no_litter(tmp_path):
+    with pytest.raises(RuntimeError), whole_folder(tmp_path / "run") as folder:
+        (folder / "x").write_text("x")
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
     (tmp_path / "a.bin").write_bytes(b"old")
     with pytest.raises(KeyboardInterrupt), whole_file(tmp_path / "a.bin") as file:
         file.write(b"new, half")
         raise KeyboardInterrupt
     assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
     assert (tmp_path / "a.bin").read_bytes() == b"old"
-
-
-def test_an_interrupted_folder_leaves_nothing(tmp_path):
-    with pytest.raises(RuntimeError), whole_folder(tmp_path / "run") as folder:
-        (folder / "x").write_text("x")
-        raise RuntimeError
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_of_ours_is_replaced_and_someone_elses_is_not(tmp_path):
@@ -106,24 +103,7 @@ def test_the_old_folder_is_whole_until_the_new_one_is_in_place(tmp_path, monkeyp
     assert (frames / "a").read_text() == "first"
 
 
-def test_a_mark_that_names_files_elsewhere_reaches_none_of_them(tmp_path):
-    (tmp_path / "thesis.txt").write_text("years of work")
-    (tmp_path / "frames").mkdir()
-    (tmp_path / "frames/.selfscan").write_text('{"content": {"../thesis.txt": [13, 0]}}')
-    write_frames(tmp_path / "frames", "a", "new")
-    assert (tmp_path / "thesis.txt").read_text() == "years of work"
-
-
-def test_the_current_folder_and_those_above_it_are_not_replaced(tmp_path, monkeypatch):
-    write_frames(tmp_path / "frames", "a", "first")
-    monkeypatch.chdir(tmp_path / "frames")
-    for name in (".", "..", str(tmp_path / "frames"), "../frames", ""):
-        with pytest.raises(AssetError, match="current folder"), whole_folder(name):
-            pass
-    assert (tmp_path / "frames/a").read_text() == "first"
-
-
-def test_a_missing_folder_above_is_named_and_not_made(tmp_path):
+def test_marks_that_name_files_elsewhere_and_folders_above_reach_nothing(tmp_path, monkeypatch):
     place = tmp_path / "none" / "deeper"
     for check, write in ((check_file, whole_file), (check_folder, whole_folder)):
         with pytest.raises(AssetError, match=r"there is no folder .*none/deeper; make it first"):
@@ -131,6 +111,17 @@ def test_a_missing_folder_above_is_named_and_not_made(tmp_path):
         with pytest.raises(AssetError, match="there is no folder"), write(place / "z"):
             pass
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "thesis.txt").write_text("years of work")
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames/.selfscan").write_text('{"content": {"../thesis.txt": [13, 0]}}')
+    write_frames(tmp_path / "frames", "a", "new")
+    assert (tmp_path / "thesis.txt").read_text() == "years of work"
+    write_frames(tmp_path / "own", "a", "first")
+    monkeypatch.chdir(tmp_path / "own")
+    for name in (".", "..", str(tmp_path / "own"), "../own", ""):
+        with pytest.raises(AssetError, match="current folder"), whole_folder(name):
+            pass
+    assert (tmp_path / "own/a").read_text() == "first"
 
 
 def test_what_is_no_file_is_not_replaced_by_one(tmp_path):
@@ -146,7 +137,7 @@ def test_what_is_no_file_is_not_replaced_by_one(tmp_path):
     assert (tmp_path / "to_fifo").is_symlink() and (tmp_path / "folder").is_dir()
 
 
-def test_a_link_stays_and_what_it_points_at_is_written(tmp_path):
+def test_a_link_stays_and_what_it_points_at_is_written_and_a_protected_file_refused(tmp_path):
     (tmp_path / "store").mkdir()
     (tmp_path / "store/one.json").write_text("old")
     os.chmod(tmp_path / "store/one.json", 0o640)
@@ -155,9 +146,6 @@ def test_a_link_stays_and_what_it_points_at_is_written(tmp_path):
         file.write("new")
     assert (tmp_path / "latest.json").is_symlink() and (tmp_path / "store/one.json").read_text() == "new"
     assert stat.S_IMODE(os.stat(tmp_path / "store/one.json").st_mode) == 0o640
-
-
-def test_a_write_protected_file_is_refused(tmp_path):
     (tmp_path / "a").write_text("kept")
     os.chmod(tmp_path / "a", 0o444)
     with pytest.raises(AssetError, match="write-protected"), whole_file(tmp_path / "a"):
@@ -165,12 +153,21 @@ def test_a_write_protected_file_is_refused(tmp_path):
     assert (tmp_path / "a").read_text() == "kept"
 
 
-def test_a_long_name_is_written_and_one_too_long_is_one_line(tmp_path):
+def test_long_names_are_written_and_leftovers_locked_are_in_work(tmp_path):
     with whole_file(tmp_path / ("n" * 250)) as file:
         file.write(b"x")
     for name in ("n" * 256, "a\0b"):
         with pytest.raises(AssetError, match="cannot be written"), whole_file(tmp_path / name):
             pass
+    other = tmp_path / ".selfscan-12345678.tmp"
+    with open(other, "w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with whole_file(tmp_path / "a"):
+            pass
+        assert other.exists()
+    with whole_file(tmp_path / "a"):
+        pass
+    assert not other.exists()
 
 
 KILLED = """
@@ -194,18 +191,6 @@ def test_what_a_killed_process_left_is_removed_by_the_next_and_work_in_hand_is_n
         first.write(b"1")
         second.write(b"2")
     assert everything(tmp_path) == [".selfscan-abcdefgh.tmp", ".selfscan-mine.tmp", "b.mp4", "c.mp4"]
-
-
-def test_a_leftover_that_is_locked_is_in_work(tmp_path):
-    other = tmp_path / ".selfscan-12345678.tmp"
-    with open(other, "w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        with whole_file(tmp_path / "a"):
-            pass
-        assert other.exists()
-    with whole_file(tmp_path / "a"):
-        pass
-    assert not other.exists()
 
 
 @needs_root

@@ -1,6 +1,7 @@
-"""Archives of arrays: only what is asked for is unpacked, sizes are known before, and damage is one line."""
+"""Archives of arrays: only what is asked for is unpacked, damage is one line; objects are rebuilt by unpickle."""
 
 import io
+import os
 import struct
 import time
 import tracemalloc
@@ -61,16 +62,13 @@ def peak(read) -> float:
         tracemalloc.stop()
 
 
-def test_members_that_nobody_asked_for_are_never_unpacked(tmp_path, zeros):
+def test_members_not_asked_for_and_arrays_too_large_are_never_unpacked(tmp_path, zeros):
     write_cameras(tmp_path / "cameras.npz", [Camera(pinhole((64, 48), 0.6), np.eye(4), (64, 48))])
     np.savez(tmp_path / "poses.npz", poses=np.zeros((3, 156)), trans=np.zeros((3, 3)), mocap_framerate=30.0)
     for path, read in ((tmp_path / "cameras.npz", read_cameras), (tmp_path / "poses.npz", read_motion)):
         plain = peak(partial(read, path))
         with_member(path, "x", zeros)
         assert peak(partial(read, path)) < plain + (4 << 20), path
-
-
-def test_a_named_array_that_is_too_large_is_refused_before_it_is_unpacked(tmp_path, zeros):
     np.savez(tmp_path / "a.npz", size=np.array([64, 48]), camera_from_world=np.eye(4)[None])
     with_member(tmp_path / "a.npz", "K", zeros)
     refused = pytest.raises(AssetError, match=r"a\.npz: cameras should take at most \d+ bytes, would take 536871")
@@ -168,3 +166,41 @@ def test_a_directory_of_gigabytes_is_not_read(tmp_path):
         file.write(b"PK\5\6" + struct.pack("<HHHHIIH", 0, 0, 9, 9, (1 << 31) - 64, 64, 0))
     with at_most(8 << 20), pytest.raises(AssetError, match="a list of members of more than"):
         NpzFile(path, "cameras")
+
+
+def saved(path, value, **options):
+    np.save(path, value, **options)
+    return path
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(6.0).reshape(2, 3),
+        np.asfortranarray(np.arange(6).reshape(2, 3)),
+        np.arange(3, dtype=">i4"),
+        np.float32(2),
+        np.zeros((0, 3)),
+        np.array(["a", "bc"]),
+        np.array([True, False]),
+    ],
+)
+def test_numbers_and_text_come_back_equal(tmp_path, array):
+    found = read_npy(saved(tmp_path / "a.npy", array), "numbers")
+    assert found.shape == array.shape and found.dtype == array.dtype.newbyteorder("=")
+    np.testing.assert_array_equal(found, array)
+
+
+def test_objects_come_as_lists_and_code_in_them_is_not_run(tmp_path):
+    record = {"K": [np.eye(3)], "ims": [{"ims": ["images/000500.jpg"]}]}
+    (found,) = read_npy(saved(tmp_path / "a.npy", np.array(record, object), allow_pickle=True), "a record")
+    assert found["ims"] == record["ims"]
+    np.testing.assert_array_equal(found["K"][0], np.eye(3))
+    several = np.empty(2, object)
+    several[:] = [{"R": np.ones((1, 3))}, {"R": np.zeros((1, 3))}]
+    found = read_npy(saved(tmp_path / "b.npy", several, allow_pickle=True), "records")
+    assert [item["R"].sum() for item in found] == [3, 0]
+    path = saved(tmp_path / "a.npy", np.array({"cams": os.mkdir}, object), allow_pickle=True)
+    message = r"a\.npy: expected cameras, found: .*the name '(posix|nt)\.mkdir'.*nothing was run"
+    with pytest.raises(AssetError, match=message):
+        read_npy(path, "cameras")

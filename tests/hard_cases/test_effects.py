@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from dual_quaternions import dual_quaternion_from_transform, skin_points_dual_quaternion, transform_from_dual_quaternion
 from glsl_probe import probe
-from loose_avatar import dressed
-from loose_paths import SETTINGS, dance, gently, moved
+from loose_avatar import SETTINGS, dance, dressed, gently, moved
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix

@@ -20,13 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from foreign_layouts import write_colmap
+from pictures import film, radiance_bytes
 from PIL import Image
 from pose_twins import landmarks, points, sam3d_fields
-from radiance_writer import radiance_bytes
 from rigs import animated_glb
 from smplh_model import write_model
-from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_high_avatar
-from tiny_film import film
+from tiny_avatar import join_glb, split_glb, tiny_avatar
 
 from avatar.baked_avatar import check_avatar
 from avatar.body import builtin_body, read_body
@@ -35,7 +34,7 @@ from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip
 from avatar.motion.read import read_motion
-from capture.read.colmap import _binary_images, _binary_lenses
+from capture.read.colmap import _images, _lenses
 from capture.read.landmarks import read_pixels
 from capture.read.opencv_yaml import read_opencv_yaml
 from command.errors import AssetError
@@ -132,8 +131,8 @@ def surface_bytes(folder: Path) -> bytes:
 
 def mediapipe_bytes(_: Path) -> bytes:
     body, left, right, _ = landmarks(np.zeros((1, 52, 3)), builtin_body("male").joints, np.zeros((1, 3)))
-    frame = {"pose_world_landmarks": points(body[0]), "left_hand_landmarks": points(left[0])}
-    return json.dumps({"frames": [frame | {"right_hand_landmarks": points(right[0])}]}).encode()
+    frame = {"pose_world_landmarks": points(body[0]), "left_hand_world_landmarks": points(left[0])}
+    return json.dumps({"frames": [frame | {"right_hand_world_landmarks": points(right[0])}]}).encode()
 
 
 def sam3d_bytes(folder: Path) -> bytes:
@@ -149,11 +148,11 @@ def objects(path: Path) -> None:
 
 
 def colmap(name: str) -> Callable[[Path], bytes]:
-    camera = Camera(pinhole((64, 48), 0.6), np.eye(4), (64, 48))
-    filmed: Any = SimpleNamespace(videos={"head": SimpleNamespace(cameras=[camera, camera])})
+    filmed: Any = SimpleNamespace(videos={"head": SimpleNamespace(cameras=[LENS, LENS])})
     return lambda folder: (write_colmap(filmed, folder / "model") / name).read_bytes()
 
 
+LENS = Camera(pinhole((64, 48), 0.6), np.eye(4), (64, 48))
 CAMERA = {"size": [64, 48], "K": [[50, 0, 32], [0, 50, 24], [0, 0, 1]], "camera_from_world": np.eye(4).tolist()}
 KEYS = [{"t": 0, "eye": [0, 1, 3], "target": [0, 1, 0]}, {"t": 2.5, "eye": [1, 1, 3], "target": [0, 1, 0]}]
 LANDMARKS = {"pixels": {"nose_tip": {"a.png": [1, 2], "b.png": [3.5, 4]}}, "vertices": {"mole": 7}}
@@ -170,7 +169,6 @@ def plain(content: object) -> Callable[[Path], bytes]:
 
 FORMATS = {
     "avatar": Format("a.glb", written(lambda path: write_avatar(path, tiny_avatar())), checked, **GLTF),
-    "large avatar": Format("a.glb", written(lambda path: write_avatar(path, tiny_high_avatar())), checked, **GLTF),
     "animation": Format("b.glb", lambda _: join_glb(*animated_glb()), finite_motion, **GLTF),
     "npz": Format("a.npz", archive(np.savez), finite_motion, 80),
     "deflated npz": Format("a.npz", archive(np.savez_compressed), finite_motion, 80),
@@ -189,8 +187,8 @@ FORMATS = {
     "landmarks": Format("landmarks.json", plain(LANDMARKS), read_pixels, **JSON),
     "scene": Format("scene.toml", plain(SCENE), read_scene, text=True, parts=True),
     "body model": Format("model.npz", written(lambda path: write_model(path.with_suffix(".npz"))), read_body, 50),
-    "COLMAP cameras": Format("cameras.bin", colmap("cameras.bin"), lambda p: list(_binary_lenses(p))),
-    "COLMAP images": Format("images.bin", colmap("images.bin"), lambda p: list(_binary_images(p))),
+    "COLMAP cameras": Format("cameras.bin", colmap("cameras.bin"), _lenses),
+    "COLMAP images": Format("images.bin", colmap("images.bin"), lambda p: _images(p, {3: LENS})),
     "OpenCV": Format("intri.yml", plain(YAML), read_opencv_yaml, text=True, parts=True),
     "sky": Format("sky.hdr", plain(radiance_bytes(np.ones((8, 16, 3)))), read_radiance),
     **{name: Format("a.bin", picture(name), any_picture, 2, parts=True) for name in WITH_WEBP},

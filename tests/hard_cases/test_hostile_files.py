@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pictures import png
-from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_high_avatar
+from tiny_avatar import join_glb, split_glb, tiny_avatar
 
 from avatar.camera import read_camera
 from avatar.gltf.avatar_file import read_avatar, write_avatar
@@ -30,14 +30,6 @@ SECONDS, BYTES = 2.0, 64 << 20
 def whole(tmp_path_factory) -> bytes:
     path = tmp_path_factory.mktemp("avatar") / "tiny.glb"
     write_avatar(path, tiny_avatar())
-    return path.read_bytes()
-
-
-@pytest.fixture(scope="module")
-def high(tmp_path_factory) -> bytes:
-    """With eight features and the large network."""
-    path = tmp_path_factory.mktemp("avatar") / "high.glb"
-    write_avatar(path, tiny_high_avatar())
     return path.read_bytes()
 
 
@@ -142,51 +134,23 @@ LIES = [
     (f"{OURS}.levels", [{"mesh": 0}] * 8, "levels should be with a mesh of their own each"),
     (f"{OURS}.levels", [{"mesh": 0, "featureImage": 0}], "levels should be with a image of their own each"),
     (f"{OURS}.levels", [{"mesh": 0, "featureImage": 2}], r"images\[2\] should be an 8-bit L PNG, is 8-bit RGB"),
+    (f"{OURS}.network.w3", [0.0], r"network should be of w1, b1, w2, b2 alone, is \['w3'\]"),
+    (f"{OURS}.network.b2", [0.0, 0.0, 1e999], r"JSON|network.b2"),
+    (f"{OURS}.network.b2", [0.0, 0.0, 1e20], "network.b2 should be below"),
+    (f"{OURS}.levels.0.featureImage", 99, r"levels\[0\].featureImage should be an index below"),
+    (f"{OURS}.levels.0.featureImage", True, r"levels\[0\].featureImage"),
+    (f"{OURS}.levels.0.featureImage", "2", r"levels\[0\].featureImage"),
     (f"{OURS}.levels", [{"mesh": 9}], r"levels\[0\].mesh should be an index below 2"),
     (f"{OURS}.provenance", 5, "provenance should be a dict"),
 ]  # fmt: skip
 
 
-HIGH_LIES = [
-    ("network.w1", [0.0] * 128, r"network.w1 should be 192 numbers"),
-    ("network.w2", [0.0] * 48, r"network.w2 should be 256 numbers"),
-    ("network.w3", [0.0] * 47, r"network.w3 should be 48 numbers"),
-    ("network.w3", None, r"network.w3 should be"),
-    ("network.b3", [0.0, 0.0, 1e999], r"JSON|network.b3"),
-    ("network.b2", [0.0] * 15 + [1e20], "network.b2 should be below"),
-    ("network.w4", [0.0], r"network should be of w1, b1, w2, b2, w3, b3 alone, is \['w4'\]"),
-    ("network", {"w1": [0.0] * 128, "b1": [0.0] * 16, "w2": [0.0] * 48, "b2": [0.0] * 3},
-     "features should be as many everywhere"),
-    ("network", {"w1": [0.0] * 128, "b1": [0.0] * 16, "w2": [0.0] * 48, "b2": [0.0] * 3, "b3": [0.0] * 3},
-     r"network should be of w1, b1, w2, b2 alone, is \['b3'\]"),
-    ("linear", [0.0] * 36, "features should be as many everywhere"),
-    ("linear", [0.0] * 71, "linear should be 36 numbers"),
-    ("levels.0.featureImage", None, r"levels\[0\].featureImage should be there, as featureImage2 is"),
-    ("levels.0.featureImage2", None, "features should be as many everywhere"),
-    ("levels.0.featureImage2", 1, "levels should be with a image of their own each"),
-    ("levels.0.featureImage2", 0, "levels should be with a image of their own each"),
-    ("levels.0.featureImage2", 99, r"levels\[0\].featureImage2 should be an index below 6"),
-    ("levels.0.featureImage2", True, r"levels\[0\].featureImage2"),
-    ("levels.0.featureImage2", "2", r"levels\[0\].featureImage2"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "kind, place, value, match",
-    [("whole", *lie) for lie in LIES] + [("high", f"{OURS}.{place}", *lie) for place, *lie in HIGH_LIES],
-)
-def test_a_lie_in_the_json_is_named(path, whole, high, kind, place, value, match):
-    document, binary = split_glb(whole if kind == "whole" else high)
+@pytest.mark.parametrize("place, value, match", LIES)
+def test_a_lie_in_the_json_is_named(path, whole, place, value, match):
+    document, binary = split_glb(whole)
     holder, key = at(document, place)
     holder[key] = value
     refused(path, join_glb(document, binary), match, memory=isinstance(value, int) and value >= 2**29)
-
-
-def test_feature_images_of_two_sizes_are_refused(path, high):
-    document, binary = split_glb(high)
-    levels = document["extensions"]["SELFSCAN_avatar"]["levels"]
-    levels[0]["featureImage2"], levels[1]["featureImage2"] = (levels[1]["featureImage2"], levels[0]["featureImage2"])
-    refused(path, join_glb(document, binary), r"images\[5\] should be of the size of images\[1\]", memory=False)
 
 
 @pytest.mark.parametrize("place", [f"{OURS}.{key}" for key in ("network.w1", "linear", "levels", "amplitude")])
@@ -260,21 +224,10 @@ def test_numbers_beyond_floats_are_refused(path, whole, number):
     refused(path, join_glb(text, binary), r"JSON|nodes\[3\].translation should be 3 finite numbers")
 
 
-def sparse(**changes):
-    part = {"count": 1, "indices": {"bufferView": 0, "componentType": 5125}, "values": {"bufferView": 0}}
-    return {"componentType": 5126, "type": "VEC3", "count": 8, "sparse": part | changes}
-
-
 @pytest.mark.parametrize(
     "accessor",
     [
         {"componentType": 5126, "type": "VEC3", "count": 2**29},
-        sparse(count=2**29),
-        sparse(count=-1),
-        sparse(indices={"bufferView": 0, "componentType": 5126}),
-        sparse(indices={"bufferView": 99, "componentType": 5125}),
-        sparse(values=None),
-        sparse(indices={"bufferView": 0, "byteOffset": 2**40, "componentType": 5121}),
         {"componentType": 5126, "type": "VEC3", "count": 8, "sparse": []},
     ],
 )

@@ -23,30 +23,27 @@ from player.scene.renderer import Renderer
 
 A = 0.6
 LEVEL = 1 / 255
-RESIDUAL = {4: "vec4(view_residual(features, tangent), 0.0)", 8: "vec4(view_residual(features, more, tangent), 0.0)"}
-NETWORK = {4: "view_network.glsl", 8: "view_network_high.glsl"}
-LINEAR = {4: "view_linear.glsl", 8: "view_linear_high.glsl"}
+RESIDUAL = "vec4(view_residual(features, tangent), 0.0)"
 # constants of a frame in which the view counts in full
 IN_FULL = np.zeros((), FRAME)
 IN_FULL["view_amount"] = 1
-SIZES = [4, 8]  # features: the network of 8 has a second hidden layer
 
 
-def network(scale1=1.0, scale2=1.0, seed=0, features=4):
+def network(scale1=1.0, scale2=1.0, seed=0):
     """Random weights, those of the first layer times scale1, all others times scale2."""
     rng = np.random.default_rng(seed)
-    shapes = NETWORK_ARRAYS[features]
+    shapes = NETWORK_ARRAYS
     scales = {name: scale1 if name in ("w1", "b1") else scale2 for name in shapes}
     return ViewNetwork(
         **{n: rng.normal(size=shape).astype(np.float32) * np.float32(scales[n]) for n, shape in shapes.items()}
     )
 
 
-def inputs(count, seed=1, features=4):
+def inputs(count, seed=1):
     """Random features, the corners of their cube, and tangents from 0 to 1 long."""
     rng = np.random.default_rng(seed)
-    values = rng.integers(0, 256, (count, features)) / 255
-    corners = np.array(np.meshgrid(*[[0.0, 1.0]] * features)).reshape(features, -1).T
+    values = rng.integers(0, 256, (count, 4)) / 255
+    corners = np.array(np.meshgrid(*[[0.0, 1.0]] * 4)).reshape(4, -1).T
     values[: len(corners)] = corners
     tangent = rng.normal(size=(count, 3))
     tangent *= rng.uniform(0, 1, (count, 1)) / np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -59,8 +56,7 @@ def reference(net, features, tangent):
     """float64."""
     far = np.linalg.norm(tangent.astype(float), axis=1, keepdims=True)
     y = np.concatenate([features, tangent, far], 1).astype(float)
-    for number, (weights, bias) in enumerate(net.layers):
-        y = (np.maximum(y, 0) if number else y) @ weights.T.astype(float) + bias
+    y = np.maximum(y @ net.w1.T.astype(float) + net.b1, 0) @ net.w2.T.astype(float) + net.b2
     return A * far * y / (1 + np.abs(y))
 
 
@@ -78,23 +74,15 @@ def onnx_runtime(net, features, tangent, path):
 
 def glsl(context, net, features, tangent, stage="fragment"):
     generated = {"network_constants.glsl": network_constants(net, A)}
-    values = split(features, tangent)
-    count = net.features
-    return probe(context, [NETWORK[count]], RESIDUAL[count], values, generated, stage=stage)[:, :3]
+    values = {"features": features, "tangent": tangent}
+    return probe(context, ["view_network.glsl"], RESIDUAL, values, generated, stage=stage)[:, :3]
 
 
-def split(features, tangent):
-    """Inputs as the shader takes them: eight features are two vectors of four."""
-    more = {"more": features[:, 4:]} if features.shape[1] == 8 else {}
-    return {"features": features[:, :4], **more, "tangent": tangent}
-
-
-@pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("stage", ["vertex", "fragment"])
 @pytest.mark.parametrize(("scale1", "scale2"), [(1, 1), (1e-8, 1e4), (1e4, 1e-4), (1e-8, 1e-8), (30, 30)])
-def test_network_in_glsl_equals_onnx_runtime(context, within, tmp_path, scale1, scale2, stage, size):
-    net = network(scale1, scale2, features=size)
-    features, tangent = inputs(20_000, features=size)
+def test_network_in_glsl_equals_onnx_runtime(context, within, tmp_path, scale1, scale2, stage):
+    net = network(scale1, scale2)
+    features, tangent = inputs(20_000)
     out = glsl(context, net, features, tangent, stage)
     assert np.isfinite(out).all()
     # where float32 itself cannot tell the sign of y (huge weights, cancelled) both are equally right
@@ -105,22 +93,20 @@ def test_network_in_glsl_equals_onnx_runtime(context, within, tmp_path, scale1, 
     within((out - exact)[known], LEVEL)
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_residual_is_zero_at_the_global_direction_and_never_exceeds_A_times_tangent(context, within, size):
-    features, tangent = inputs(60_000, seed=3, features=size)
+def test_residual_is_zero_at_the_global_direction_and_never_exceeds_A_times_tangent(context, within):
+    features, tangent = inputs(60_000, seed=3)
     for seed, scale in [(0, 1.0), (1, 1e4), (2, 1e-8)]:
-        out = glsl(context, network(scale, scale, seed, size), features, tangent)
+        out = glsl(context, network(scale, scale, seed), features, tangent)
         far = np.linalg.norm(tangent.astype(float), axis=1, keepdims=True)
         assert np.abs(out[:100]).max() == 0
         within(np.maximum(np.abs(out) - A * far, 0), 1e-6)
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_linear_in_glsl_equals_float64(context, within, size):
-    features, tangent = inputs(5_000, features=size)
-    M = np.random.default_rng(4).normal(size=(size, 3, 3)).astype(np.float32)
+def test_linear_in_glsl_equals_float64(context, within):
+    features, tangent = inputs(5_000)
+    M = np.random.default_rng(4).normal(size=(4, 3, 3)).astype(np.float32)
     generated = {"linear_constants.glsl": linear_constants(M)}
-    out = probe(context, [LINEAR[size]], RESIDUAL[size], split(features, tangent), generated)[:, :3]
+    out = probe(context, ["view_linear.glsl"], RESIDUAL, {"features": features, "tangent": tangent}, generated)[:, :3]
     exact = np.einsum("nf,fij,nj->ni", features.astype(float), M.astype(float), tangent.astype(float))
     within(out - exact, 1e-6)
 
@@ -144,10 +130,8 @@ def test_a_constant_that_is_not_finite_is_refused(value):
 
 def test_a_comma_locale_changes_nothing(context, tmp_path):
     """With a locale that writes 0,5: the text is the same, and the compiler reads it the same."""
-    nets = [network(features=size) for size in SIZES]
-    asked = [inputs(500, features=size) for size in SIZES]
-    before_text = [network_constants(net, A) for net in nets]
-    before_values = [glsl(context, net, *values) for net, values in zip(nets, asked, strict=True)]
+    net, values = network(), inputs(500)
+    text, drawn = network_constants(net, A), glsl(context, net, *values)
     before = locale.setlocale(locale.LC_ALL)
     try:
         if not _set_comma_locale(tmp_path):
@@ -155,9 +139,8 @@ def test_a_comma_locale_changes_nothing(context, tmp_path):
             assert f"{0.5:.9g}" == "0.5" and "," not in literal(0.5)
             return
         assert locale.str(0.5) == "0,5"
-        for net, values, text, drawn in zip(nets, asked, before_text, before_values, strict=True):
-            assert network_constants(net, A) == text
-            assert np.array_equal(glsl(context, net, *values), drawn)
+        assert network_constants(net, A) == text
+        assert np.array_equal(glsl(context, net, *values), drawn)
     finally:
         locale.setlocale(locale.LC_ALL, before)
 
@@ -208,42 +191,38 @@ def test_the_cone_holds_for_every_direction(context, within):
     within(out - clamped_tangent(d.astype(float), cone), 2e-5)
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_a_million_directions_through_the_cone_stay_within_A_of_the_base(context, within, size):
+def test_a_million_directions_through_the_cone_stay_within_A_of_the_base(context, within):
     """|colour - base| <= A |t'| from direction to residual, with cones of every shape; d along d̄ or against it: 0."""
     rng = np.random.default_rng(7)
     count = 1_000_000
-    net = network(3.0, 3.0, features=size)
+    net = network(3.0, 3.0)
     generated = {"network_constants.glsl": network_constants(net, A)}
     d, mean = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, count, 3)))
     mean[:1000], mean[1000:2000] = d[:1000], -d[1000:2000]
     axes = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-3, 2, (count, 1))
     axes[::9] = 0
     q = axes[:, [0, 0, 0, 1, 1, 2]] * axes[:, [0, 1, 2, 1, 2, 2]]
-    features = rng.integers(0, 256, (count, size)) / 255
-    values = {**split(features, d), "mean": mean, "q0": q[:, :3], "q1": q[:, 3:], "seen": rng.uniform(size=count)}
-    values["d"] = values.pop("tangent")
+    features = rng.integers(0, 256, (count, 4)) / 255
+    values = {
+        "features": features,
+        "d": d,
+        "mean": mean,
+        "q0": q[:, :3],
+        "q1": q[:, 3:],
+        "seen": rng.uniform(size=count),
+    }
     values = {name: value.astype(np.float32) for name, value in values.items()}
     tangent = "cone_tangent(d, mean, q0, q1, seen)"
-    call = RESIDUAL[size].replace("tangent", tangent).replace("0.0)", f"length({tangent}))")
-    out = probe(context, ["view_cone.glsl", NETWORK[size]], call, values, generated, {"Frame": IN_FULL})
+    call = RESIDUAL.replace("tangent", tangent).replace("0.0)", f"length({tangent}))")
+    out = probe(context, ["view_cone.glsl", "view_network.glsl"], call, values, generated, {"Frame": IN_FULL})
     assert np.isfinite(out).all() and out[:, 3].max() <= 1 + 1e-6
     within(np.maximum(np.abs(out[:, :3]) - A * out[:, 3:], 0), 1e-6)
     within(out[:2000, :3], 1e-6)
 
 
-@pytest.fixture(scope="module", params=SIZES)
-def avatar(request):
-    """The mannequin; with 8 features, the large network and as many matrices."""
-    small = mannequin()
-    if request.param == 4:
-        return small
-    rng = np.random.default_rng(11)
-    level = small.levels[0]
-    more = rng.integers(0, 256, level.features.shape, dtype=np.uint8)
-    level = replace(level, features=np.concatenate([level.features, more], axis=2))
-    linear = (0.2 * rng.normal(size=(8, 3, 3))).astype(np.float32)
-    return replace(small, levels=(level,), network=network(features=8), linear=linear)
+@pytest.fixture(scope="module")
+def avatar():
+    return mannequin()
 
 
 def test_every_feature_reaches_the_picture(context, avatar):

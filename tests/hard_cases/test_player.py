@@ -86,7 +86,7 @@ with counting():
 counts = counts_of(context)
 renderer = Renderer(context, [tiny_avatar()], (16, 16), view="network")
 camera, pose = orbit_camera((0, 0, 0), 4.0, 0.0, 0.0, (16, 16)), (np.array(BIG_POSE), np.zeros(3))
-with Film(parts.out, 30.0, encoder="software", pieces=list(map(parts.piece, parts.ranges))) as film:
+with Film(parts.out, 30.0, pieces=list(map(parts.piece, parts.ranges))) as film:
     for frame in range(11_000):
         if frame == 1000:
             objects, live = counts.objects(), counts.live_bytes

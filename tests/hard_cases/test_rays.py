@@ -7,7 +7,7 @@ import pytest
 import torch
 from filmed_part import filmed_part, rays_of, untrained
 from tiny import TINY
-from turning_capture import turning_capture, with_video
+from turning_capture import with_video
 
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
 from capture.template.parts import Box
@@ -131,28 +131,23 @@ def test_directions_of_any_length_keep_it_in_the_canonical_frame(direction, with
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
-    return turning_capture(tmp_path_factory.mktemp("rays") / "test")
-
-
-@pytest.fixture(scope="module")
-def cloud(capture):
-    return surface_cloud(capture.subject, 2, np.ones(len(capture.subject.faces), bool), 0.006)
+def cloud(turning):
+    return surface_cloud(turning.subject, 2, np.ones(len(turning.subject.faces), bool), 0.006)
 
 
 TRAINING = FieldTraining(part=TINY.parts[2], preset=TINY, seed=3)
 
 
-def _rays(capture, cloud):
-    return rays_of(filmed_part(capture, cloud=cloud), TINY.parts[2], ends=18, per_frame=60)
+def _rays(turning, cloud):
+    return rays_of(filmed_part(turning, cloud=cloud), TINY.parts[2], ends=18, per_frame=60)
 
 
-def _field(capture, cloud):
-    return untrained(filmed_part(capture, cloud=cloud), TINY.parts[2], len(capture.videos["hand_left"].masks))
+def _field(turning, cloud):
+    return untrained(filmed_part(turning, cloud=cloud), TINY.parts[2], len(turning.videos["hand_left"].masks))
 
 
-def _masked(capture, kind):
-    masks = capture.videos["hand_left"].masks.copy()
+def _masked(turning, kind):
+    masks = turning.videos["hand_left"].masks.copy()
     if kind == "a frame without a person":
         masks[4] = False
     elif kind == "one pixel":
@@ -163,39 +158,39 @@ def _masked(capture, kind):
         masks[1:] = False
     elif kind == "the whole picture":
         masks[:] = True
-    return with_video(capture, "hand_left", masks=masks)
+    return with_video(turning, "hand_left", masks=masks)
 
 
 @pytest.mark.parametrize("kind", ["a frame without a person", "one pixel", "only one frame", "the whole picture"])
-def test_odd_masks_train_to_finite_numbers(capture, cloud, kind):
-    rays = _rays(_masked(capture, kind), cloud)
+def test_odd_masks_train_to_finite_numbers(turning, cloud, kind):
+    rays = _rays(_masked(turning, kind), cloud)
     assert np.isfinite(rays.ends).all() and np.isfinite(rays.color).all()
     if kind == "a frame without a person":
         assert 4 not in rays.frame and len(np.unique(rays.frame)) == 11
     if kind == "one pixel":
         assert rays.mask.sum() <= 1 and set(rays.frame) == {3}
-    _trains(_field(capture, cloud), ray_tensors(rays, cloud, torch.device("cpu")))
+    _trains(_field(turning, cloud), ray_tensors(rays, cloud, torch.device("cpu")))
 
 
-def test_masks_without_a_person_are_refused_by_the_video(capture, cloud):
-    nobody = with_video(capture, "hand_left", masks=np.zeros_like(capture.videos["hand_left"].masks))
+def test_masks_without_a_person_are_refused_by_the_video(turning, cloud):
+    nobody = with_video(turning, "hand_left", masks=np.zeros_like(turning.videos["hand_left"].masks))
     with pytest.raises(ValueError, match="no ray of the hand_left video meets the template inside the hand_left box"):
         _rays(nobody, cloud)
 
 
 @pytest.mark.parametrize("level", [0, 128, 255])
-def test_constant_pictures_train_to_finite_numbers(capture, cloud, level):
-    flat = with_video(capture, "hand_left", images=np.full_like(capture.videos["hand_left"].images, level))
+def test_constant_pictures_train_to_finite_numbers(turning, cloud, level):
+    flat = with_video(turning, "hand_left", images=np.full_like(turning.videos["hand_left"].images, level))
     rays = _rays(flat, cloud)
     assert set(np.unique(rays.color)) <= {np.float32(0), np.float32(level) / np.float32(255)}
-    _trains(_field(capture, cloud), ray_tensors(rays, cloud, torch.device("cpu")))
+    _trains(_field(turning, cloud), ray_tensors(rays, cloud, torch.device("cpu")))
 
 
 @pytest.mark.parametrize("mask", [0.0, 1.0])
-def test_a_batch_of_background_or_person_alone_has_finite_gradients(capture, cloud, mask):
-    rays = ray_tensors(_rays(capture, cloud), cloud, torch.device("cpu"))
+def test_a_batch_of_background_or_person_alone_has_finite_gradients(turning, cloud, mask):
+    rays = ray_tensors(_rays(turning, cloud), cloud, torch.device("cpu"))
     rays = replace(rays, mask=torch.full_like(rays.mask, mask), color=mask * rays.color)
-    field = _field(capture, cloud)
+    field = _field(turning, cloud)
     loss, report = losses(field, rays, Batch(torch.arange(32), torch.rand(32), 0.001), TINY.parts[2], TINY)
     loss.backward()
     gradients = [p.grad for p in field.parameters() if p.grad is not None]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from icosphere import EGG, egg
+from capsules import EGG, egg
 
 from avatar.rotation import matrix_from_axis_angle
 from avatar.similarity import similarity_from_landmarks

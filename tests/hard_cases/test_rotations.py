@@ -3,7 +3,6 @@
 import mpmath
 import numpy as np
 import pytest
-from dual_quaternions import blend_dual_quaternions, dual_quaternion_from_transform, transform_from_dual_quaternion
 
 from avatar.rotation import (
     axis_angle_from_matrix,
@@ -107,33 +106,3 @@ def test_a_quaternion_without_direction_is_refused(bad):
 def test_a_quaternion_of_any_length_is_normalised(scale):
     q = normalised_quaternion(np.array([0.1, -0.2, 0.3, 0.4]) * scale)
     np.testing.assert_allclose(q, np.array([0.1, -0.2, 0.3, 0.4]) / np.sqrt(0.3), rtol=1e-14)
-
-
-def rigid(axis_angle, translation):
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = matrix_from_axis_angle(np.asarray(axis_angle, float)), translation
-    return T
-
-
-def test_dual_quaternions_of_opposite_hemispheres_blend_as_if_aligned():
-    T = np.stack([rigid([0.4, 0, 0], [1, 2, 3]), rigid([0.6, 0, 0], [1, 2, 3])])
-    bones = dual_quaternion_from_transform(T)
-    flipped = bones * np.array([1.0, -1.0])[:, None, None]
-    weights = np.array([[0.5, 0.5]])
-    a = transform_from_dual_quaternion(blend_dual_quaternions(bones[None], weights))
-    b = transform_from_dual_quaternion(blend_dual_quaternions(flipped[None], weights))
-    np.testing.assert_allclose(a, b, atol=1e-14)
-    np.testing.assert_allclose(a[0, :3, :3], matrix_from_axis_angle(np.array([0.5, 0, 0])), atol=1e-14)
-
-
-def test_four_dual_quaternions_two_of_them_half_a_turn_apart_stay_rigid():
-    T = np.stack([rigid([0, 0, 0], [0, 0, 0]), rigid([PI, 0, 0], [0, 1, 0]), rigid([0, PI / 2, 0], [1, 0, 0]),
-                  rigid([0, 0, PI], [0, 0, 1])])  # fmt: skip
-    weights = np.random.default_rng(0).dirichlet(np.ones(4), 500)
-    M = transform_from_dual_quaternion(
-        blend_dual_quaternions(dual_quaternion_from_transform(T)[None].repeat(500, 0), weights)
-    )
-    np.testing.assert_allclose(
-        M[:, :3, :3] @ M[:, :3, :3].transpose(0, 2, 1), np.eye(3)[None].repeat(500, 0), atol=1e-12
-    )
-    assert np.isfinite(M).all() and np.abs(M[:, :3, 3]).max() < 10

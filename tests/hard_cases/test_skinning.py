@@ -53,12 +53,19 @@ def test_twist_collapses_under_lbs_by_the_cosine_and_keeps_its_radius_under_dual
     within(dual - 1, 0.05, "of the radius")
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("degrees", [-180, -90, 45, 90, 135, 179.999, 180])
-def test_a_forearm_with_twist_joints_keeps_its_volume_under_lbs_when_the_wrist_turns(degrees, within, twisted):
-    pose, places = turned(twisted, "left", degrees)
+def test_a_forearm_with_twist_joints_keeps_its_volume_under_lbs_when_the_wrist_turns(side, degrees, within, twisted):
+    pose, places = turned(twisted, side, degrees)
     faces = twisted.levels[0].faces.astype(np.int64)
-    rest, areas = (section_areas(posed(twisted, one, "twist"), faces, places) for one in (0 * pose, pose))
-    within(areas.sum() / rest.sum() - 1, 0.05, "of the volume")
+    rest = section_areas(posed(twisted, 0 * pose, "twist"), faces, places)
+    kept = {kind: section_areas(posed(twisted, pose, kind), faces, places) / rest for kind in ("lbs", "dual", "twist")}
+    within(np.average(kept["twist"], weights=rest) - 1, 0.05, "of the volume")
+    assert kept["twist"].min() > 0.9 and kept["twist"].max() < 1.02
+    if abs(degrees) in (90, 179.999):
+        # and without: the thinnest section is a tenth at half a turn
+        assert kept["lbs"].min() < (0.2 if abs(degrees) > 100 else 0.65)
+        assert kept["lbs"].min() < kept["dual"].min()
 
 
 @pytest.mark.parametrize("degrees", [179.999, 180.0])
@@ -148,22 +155,6 @@ def test_a_row_that_sums_to_0_999_is_scaled_to_one():
     skin = strongest_four(np.eye(52)[[3, 4]] * 0.999)
     np.testing.assert_array_equal(skin.weights.sum(1), 1)
     np.testing.assert_array_equal(dense_weights(skin), np.eye(52)[[3, 4]])
-
-
-def test_ten_kilometres_from_the_origin_relative_positions_keep_a_tenth_of_a_pixel(body, within):
-    pose = random_poses(1)[0]
-    near = skin_points(body.vertices, body.skin, skin_transforms(pose, body.joints, np.zeros(3)))
-    far = skin_points(body.vertices, body.skin, skin_transforms(pose, body.joints, np.array([1e4, 0, 1e4])))
-    assert np.abs(far - near - [1e4, 0, 1e4]).max() < 1e-8  # float64; the player subtracts the eye before float32
-
-
-def test_a_root_spinning_at_1000_radians_per_second_stays_rigid(body):
-    for time in np.arange(10) / 60:
-        pose = np.zeros((52, 3))
-        pose[0] = [0, 1000 * time, 0]
-        B = skin_transforms(pose, body.joints, rest=np.zeros((52, 3)))
-        lengths = np.linalg.norm(skin_points(body.vertices, body.skin, B), axis=1)
-        np.testing.assert_allclose(lengths, np.linalg.norm(body.vertices, axis=1), atol=1e-6)
 
 
 def test_blended_rotation_is_the_rotation_of_the_blend_for_one_bone(body):

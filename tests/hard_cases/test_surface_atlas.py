@@ -232,7 +232,7 @@ def test_closing_chart_edges_never_leaves_the_colors_of_the_two_sides(pattern, w
     """The hardest contrast, of one texel, in two pairs of colors on two halves of a ball: in every mip each channel of
     every texel stays within what its half shows."""
     size, levels = 512, 4
-    chart, texels, edges, corners, points = unwrapped_ball
+    chart, texels, edges, corners, points, _ = unwrapped_ball
     height = corners.mean(1)[texels.face, 1]
     upper = height > 0
     cells = np.stack([texels.index % size, texels.index // size], 1)

@@ -146,7 +146,7 @@ def test_frames_of_two_colors_give_texels_between_them(grey, within):
 def test_contrasts_of_one_texel_across_chart_edges_stay_within_what_was_seen(pattern, within):
     """Every texel of a ball is told its own color, edges that they agree, then mips are closed: nowhere beyond."""
     size, levels = 256, 4
-    chart, texels, edges, _, points = charted_ball(size, 8, faces=600, step=0.008)
+    chart, texels, edges, _, points, _ = charted_ball(size, 8, faces=600, step=0.008)
     cells = np.floor(points / 0.0016).astype(int)
     on = (cells[:, 0] if pattern == "stripes" else cells.sum(1)) % 2
     low, high = np.array([0.2, 0.35, 0.3]), np.array([0.8, 0.4, 0.7])

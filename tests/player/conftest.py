@@ -1,6 +1,5 @@
 """The built-in body as an avatar, and renderers and windows that are freed after each test."""
 
-import numpy as np
 import pytest
 from loose_avatar import dressed
 from tiny_avatar import tiny_avatar
@@ -21,17 +20,6 @@ def avatar():
 def dressed_avatar():
     """In a skirt and with long hair."""
     return dressed()
-
-
-@pytest.fixture(scope="session")
-def pose():
-    """Both elbows, a knee, the head and all fingers bent: (axis-angle, root)."""
-    axis_angle = np.zeros((52, 3))
-    axis_angle[[18, 19], 1] = [-1.2, 1.0]
-    axis_angle[[16, 17], 2] = [-0.9, 0.7]
-    axis_angle[4, 0], axis_angle[15, 1] = 0.8, 0.5
-    axis_angle[22:37, 2], axis_angle[37:52, 2] = -0.4, 0.4
-    return axis_angle, np.array([0.1, 0.05, -0.2])
 
 
 @pytest.fixture(scope="session")

@@ -69,7 +69,7 @@ def steps_in_depth(depth):
     return (five > 0).any(0) & ((five == 0).any(0) | (bend > 4 * pixel * here))
 
 
-def test_fxaa_is_its_reference_where_surfaces_end_and_nothing_elsewhere(rasteriser, picture, avatar, pose):
+def test_fxaa_is_its_reference_where_surfaces_end_and_msaa_the_mean_of_four_samples(rasteriser, picture, avatar, pose):
     plain, smooth = picture("none"), picture("fxaa")
     level = avatar.levels[0]
     depth = rasteriser.draw(posed_vertices(avatar, level, pose), level.faces.astype(int), CAMERA, cull=True)
@@ -79,6 +79,14 @@ def test_fxaa_is_its_reference_where_surfaces_end_and_nothing_elsewhere(rasteris
     assert 800 < (smooth != plain).any(-1).sum() < 0.4 * (plain[..., 3] > 0).sum(), "outlines, not the paint"
     # texture units keep 8 bits of a place between texels; where near and far are equally good, rounding decides
     assert (away > 2).mean() < 5e-4
+    flat = replace(avatar.levels[0], base_color=np.full((4, 4, 3), (200, 90, 30), np.uint8))
+    who = replace(avatar, levels=(flat,))
+    alpha = picture("msaa", who=who)[..., 3]
+    assert set(np.unique(alpha)) <= {0, 63, 64, 127, 128, 191, 192, 255}
+    large = picture("none", size=(SIZE[0] * 8, SIZE[1] * 8), who=who)[..., 3] / 255
+    coverage = large.reshape(SIZE[1], 8, SIZE[0], 8).mean((1, 3))
+    plain = picture("none", who=who)[..., 3] / 255
+    assert np.abs(alpha / 255 - coverage).mean() < 0.45 * np.abs(plain - coverage).mean()
 
 
 @pytest.mark.parametrize("skinning", ["lbs", "dual_quaternion"])
@@ -101,17 +109,6 @@ def test_edges_get_between_values_and_stay_premultiplied(picture, avatar, antial
     assert ((alpha > 0) & (alpha < 255)).sum() > 300
     assert set(np.unique(picture("none")[..., 3])) == {0, 255}
     assert np.abs(image[..., :3] - alpha[..., None] * (level > 0)).max() <= 1, "white is its alpha: no fringe"
-
-
-def test_msaa_is_the_mean_of_four_samples(picture, avatar):
-    flat = replace(avatar.levels[0], base_color=np.full((4, 4, 3), (200, 90, 30), np.uint8))
-    who = replace(avatar, levels=(flat,))
-    alpha = picture("msaa", who=who)[..., 3]
-    assert set(np.unique(alpha)) <= {0, 63, 64, 127, 128, 191, 192, 255}
-    large = picture("none", size=(SIZE[0] * 8, SIZE[1] * 8), who=who)[..., 3] / 255
-    coverage = large.reshape(SIZE[1], 8, SIZE[0], 8).mean((1, 3))
-    plain = picture("none", who=who)[..., 3] / 255
-    assert np.abs(alpha / 255 - coverage).mean() < 0.45 * np.abs(plain - coverage).mean()
 
 
 @pytest.mark.parametrize("antialiasing", ["fxaa", "msaa"])

@@ -1,19 +1,24 @@
 import json
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pytest
 from pictures import pixels
+from PIL import Image
 
+from avatar import read_avatar
 from avatar.camera import orbit_camera, write_camera
 from avatar.motion.amass import write_amass
 from avatar.motion.read import builtin_motion
 from command.errors import AssetError
 from player.film.command import render_main
+from player.play_command import PlayCommand, scene_of
 from player.scene.framing import facing, pelvis_height
+from selfscan.__main__ import main
 
 
-def test_a_range_of_frames_goes_to_a_folder_and_explain_to_json(avatar_path, tmp_path, capsys):
+def test_a_range_of_frames_goes_to_a_folder_and_a_camera_file_decides_view_and_size(avatar_path, tmp_path, capsys):
     out, explained = tmp_path / "frames", tmp_path / "explain.json"
     arguments = [avatar_path, "--motion", "walking", "--frames", "3:6", "--size", "48x64", "--camera", "orbit"]
     render_main([*arguments, "--view", "linear", "--explain", "--json", str(explained), "-o", str(out)])
@@ -24,9 +29,6 @@ def test_a_range_of_frames_goes_to_a_folder_and_explain_to_json(avatar_path, tmp
     assert runs["avatar: view linear"] and not runs["avatar: paper"] and sum(runs.values()) == 2
     assert runs["antialiasing: fxaa"] or runs["antialiasing: msaa"]
     assert "skipped" in capsys.readouterr().out
-
-
-def test_a_camera_file_decides_view_and_size(avatar_path, tmp_path):
     write_camera(tmp_path / "camera.json", orbit_camera((0, 1, 0), 3.0, 0.2, 0.0, (50, 70)))
     base = [avatar_path, "--camera", str(tmp_path / "camera.json"), "--motion", "counting", "--frame", "0"]
     render_main([*base, "-o", str(tmp_path / "a.png")])
@@ -61,14 +63,11 @@ WRONG = {
     "--scene a.toml -o a.mp4": "give AVATAR or --scene, one of them",
     "--gpu -1 -o a.png": "--gpu: expected a number from 0 or a DRM node as /dev/dri/renderD128, found '-1'",
     "--gpu card0 -o a.png": "or a DRM node as /dev/dri/renderD128, found 'card0'",
-    "--part 3/2 -o a.mp4": "--part: expected a share from 1/2 to 2/2, found 3/2",
-    "--part x -o a.mp4": "--part: expected K/N, as 2/8, found 'x'",
-    "--part 1/2 --workers 2 -o a.mp4": "give --part or --workers",
     "--workers 2 --explain -o a.mp4": "--explain asks the context that drew: leave --workers out",
     "--workers 0 -o a.mp4": "--workers: expected 1 to 256 processes, or an address, found '0'",
     "--quality superb -o a.mp4": "--quality: expected draft, good, best or a number from 0 to 1, found 'superb'",
     "--quality 1.5 -o a.mp4": "--quality: expected draft, good, best or a number from 0 to 1, found '1.5'",
-    "--quality 0.5 --part 1/2 -o a.mp4": "--budget and --quality 0..1 ask this machine",
+    "--quality 0.5 --workers 2 -o a.mp4": "--budget and --quality 0..1 ask this machine",
     "--budget 8ms --workers 2 -o a.mp4": "--budget and --quality 0..1 ask this machine",
     "--budget 8ms --quality draft -o a.mp4": "give --budget or --quality",
     "--budget fast -o a.mp4": "--budget: expected milliseconds or frames a second, as 8ms or 120fps, found 'fast'",
@@ -80,16 +79,6 @@ def test_wrong_usage_exits_2_and_says_why(avatar_path, words, capsys):
     with pytest.raises(SystemExit) as stopped:
         render_main([avatar_path, *words.split()])
     assert stopped.value.code == 2 and WRONG[words] in capsys.readouterr().err
-
-
-def test_the_front_is_where_the_chest_looks(avatar):
-    turned = np.zeros((52, 3))
-    turned[0, 1] = 0.7
-    assert abs(facing(turned, avatar.joint_positions) - 0.7) < 1e-9
-    lying = np.zeros((52, 3))
-    lying[0, 0] = np.pi / 2
-    assert facing(lying, avatar.joint_positions) == 0.0
-    assert 0.8 < pelvis_height(avatar) < 1.1
 
 
 @pytest.fixture
@@ -124,16 +113,44 @@ def test_a_fast_motion_is_filmed_at_60_or_at_the_rate_asked_for(avatar_path, fas
         render_main([*base, "--frames", "1:2", "--rate", "30", "-o", str(tmp_path / "none")])
 
 
-def test_a_picture_says_which_frame_it_shows(avatar_path, tmp_path, capsys):
+def test_a_picture_says_which_frame_it_shows_and_a_film_its_size(avatar_path, tmp_path, capsys):
     base = [avatar_path, "--motion", "walking", "--size", "32x40", "--view", "off", "-o", str(tmp_path / "a.png")]
     render_main(base)
     assert "frame 0 of" in (said := capsys.readouterr().out) and "--frame N draws another" in said
     assert "view off" in said and pixels(tmp_path / "a.png").shape == (40, 32, 3)
     render_main([*base, "--frame", "7"])
     assert "frame 7 of" in (said := capsys.readouterr().out) and "draws another" not in said
-
-
-def test_the_size_that_is_said_is_the_one_that_is_written(avatar_path, tmp_path, capsys):
-    base = [avatar_path, "--motion", "walking", "--frames", "0:1", "--size", "33x41", "--encoder", "software"]
+    base = [avatar_path, "--motion", "walking", "--frames", "0:1", "--size", "33x41"]
     render_main([*base, "-o", str(tmp_path / "a.mp4")])
     assert "a.mp4: 1 frame, 34x42" in capsys.readouterr().out
+
+
+def test_builtin_is_a_baked_person_and_the_woman_is_to_be_filmed_first():
+    avatar = read_avatar("builtin")
+    faces = [len(level.faces) for level in avatar.levels]
+    assert faces == sorted(faces, reverse=True)
+    assert abs(faces[0] - 30_000) < 100 and len(avatar.joint_positions) == 52
+    assert avatar.provenance["subject"] == "builtin:male" and avatar.provenance["baked"]["missed"] == []
+    assert (files("avatar") / "data" / "avatar" / "man.glb").stat().st_size < 6e6
+    with pytest.raises(AssetError, match="builtin:female: a person to film, no avatar yet"):
+        read_avatar("builtin:female")
+    scene = scene_of(PlayCommand())
+    assert [actor.path for actor in scene.avatars] == ["builtin"] and scene.effects.ground is not None
+    own = scene_of(PlayCommand(avatar=("me.glb",)))
+    assert [actor.path for actor in own.avatars] == ["me.glb"] and own.effects.ground is None
+
+
+def test_builtin_is_rendered_by_name_and_the_front_is_where_the_chest_looks(tmp_path, avatar):
+    out = tmp_path / "man.png"
+    assert main(["render", "builtin", "--motion", "walking", "--frame", "40", "--size", "96x96", "-o", str(out)]) == 0
+    with Image.open(out) as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    person = np.abs(pixels - pixels[0, 0]).max(-1) > 20
+    assert 0.03 < person.mean() < 0.4 and pixels[person].std(0).min() > 10
+    turned = np.zeros((52, 3))
+    turned[0, 1] = 0.7
+    assert abs(facing(turned, avatar.joint_positions) - 0.7) < 1e-9
+    lying = np.zeros((52, 3))
+    lying[0, 0] = np.pi / 2
+    assert facing(lying, avatar.joint_positions) == 0.0
+    assert 0.8 < pelvis_height(avatar) < 1.1

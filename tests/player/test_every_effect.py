@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from loose_paths import dance, danced
+from loose_avatar import dance, danced
 
 from avatar.camera import Camera, orbit_camera
 from avatar.gltf.avatar_file import write_avatar
@@ -59,7 +59,7 @@ ADDS = {
     "grid alone": (Grid(axes=0.0), {"program": 1, "vertex_array": 1}),
     "outline": (Outline(), {"program": 1, "buffer": 1, "vertex_array": 1}),
     "secondary_motion": (SecondaryMotion(), {"program": 1, "buffer": 2, "vertex_array": 1}),
-    # what these do is done to poses and frames of films: test_held_feet.py, test_exposure.py
+    # what these do is done to poses and frames of films: test_ik.py, test_film.py
     "foot_lock": (FootLock(), {}),
     "motion_blur": (MotionBlur(), {}),
     "depth_of_field": (DepthOfField(), {}),
@@ -183,7 +183,7 @@ def test_settings_that_cannot_be_are_refused(effect, settings, message):
         effect(**settings)
 
 
-def test_a_frame_follows_from_its_number_and_shares_of_a_film_are_the_film(tmp_path, monkeypatch, dressed_avatar):
+def test_a_frame_follows_from_its_number_and_parts_of_a_film_are_the_film(tmp_path, monkeypatch, dressed_avatar):
     for module in (parts, filming):
         monkeypatch.setattr(module, "LENGTH", 2)
     path = str(tmp_path / "dressed.glb")
@@ -193,12 +193,11 @@ def test_a_frame_follows_from_its_number_and_shares_of_a_film_are_the_film(tmp_p
     every = [word for name in sorted(names) for word in ("--effect", name)]
     base = [path, "--motion", "walking", "--frames", "20:24", "--size", "60x60", "--camera", "orbit", *every]
     render_main([*base, "-o", str(tmp_path / "whole")])
-    for share in ("2/2", "1/2"):
-        render_main([*base, "--part", share, "-o", str(tmp_path / "shared")])
+    render_main([*base, "--resume", "-o", str(tmp_path / "parts")])
     files = sorted((tmp_path / "whole").glob("*.png"))
     assert len(files) == 4
     for file in files:
-        assert file.read_bytes() == (tmp_path / "shared" / file.name).read_bytes()
+        assert file.read_bytes() == (tmp_path / "parts" / file.name).read_bytes()
     # backwards, and with a shutter: the simulation goes on frame by frame, whatever is drawn of each
     for blur in (None, MotionBlur(samples=2)):
         effects = replace(OFF, secondary_motion=SecondaryMotion(), motion_blur=blur)

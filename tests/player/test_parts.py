@@ -1,9 +1,9 @@
-"""Films in parts: stopped and gone on with, shared out, drawn by workers; always the film made in one go."""
+"""Films in parts: stopped and gone on with, drawn by workers; always the film made in one go."""
 
 import hashlib
-import json
 import re
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -35,8 +35,7 @@ def short_parts():
 
 @pytest.fixture(scope="module")
 def arguments(tiny_path):
-    return [tiny_path, "--motion", "walking", "--frames", "5:55", "--size", "49x48", "--camera", "orbit",
-            "--encoder", "software"]  # fmt: skip
+    return [tiny_path, "--motion", "walking", "--frames", "5:55", "--size", "49x48", "--camera", "orbit"]
 
 
 @pytest.fixture(scope="module")
@@ -131,18 +130,17 @@ def test_stopped_before_its_first_part_is_whole_nothing_is_left(arguments, tmp_p
     assert list(tmp_path.iterdir()) == []
 
 
-def test_shares_drawn_in_any_order_make_the_film_in_one_go(arguments, films, tmp_path, capsys):
-    out = tmp_path / "film.mp4"
-    render_main([*arguments, "-o", str(out), "--part", "2/2"])
-    assert not out.exists() and "1 of 3 parts are missing" in capsys.readouterr().out
-    render_main([*arguments, "-o", str(out), "--part", "1/2"])
-    assert decoded(out) == decoded(films / "film.mp4")
+def test_a_gif_in_parts_is_the_gif_in_one_go(arguments, tmp_path):
+    for name, more in (("a.gif", []), ("b.gif", ["--resume"])):
+        render_main([*arguments, "-o", str(tmp_path / name), *more])
+    assert decoded(tmp_path / "a.gif") == decoded(tmp_path / "b.gif")
+    assert len(decoded(tmp_path / "a.gif")) > 40  # equal neighbours may be one
 
 
 def test_films_of_neighbouring_frames_join_to_the_film_of_all(arguments, tmp_path):
     """With a camera that does not depend on the range; the ranges meet where parts do."""
     write_camera(tmp_path / "camera.json", orbit_camera((0, 1, 0), 3.0, 0.2, 0.0, (49, 48)))
-    base = [*arguments[:3], "--camera", str(tmp_path / "camera.json"), "--encoder", "software"]
+    base = [*arguments[:3], "--camera", str(tmp_path / "camera.json")]
     for name, frames in (("a.mp4", "5:20"), ("b.mp4", "20:55"), ("all.mp4", "5:55")):
         render_main([*base, "--frames", frames, "-o", str(tmp_path / name)])
     pieces = [(tmp_path / "a.mp4", 15), (tmp_path / "b.mp4", 35)]
@@ -166,13 +164,6 @@ def test_transparent_films_are_joined_with_their_alpha(arguments, tmp_path, name
         assert np.abs(alpha - expected).mean() < 4
 
 
-def test_a_gif_in_parts_is_the_gif_in_one_go(arguments, tmp_path):
-    for name, more in (("a.gif", []), ("b.gif", ["--resume"])):
-        render_main([*arguments, "-o", str(tmp_path / name), *more])
-    assert decoded(tmp_path / "a.gif") == decoded(tmp_path / "b.gif")
-    assert len(decoded(tmp_path / "a.gif")) > 40  # equal neighbours may be one
-
-
 def test_parts_of_another_film_are_not_gone_on_with(arguments, tmp_path, stopping):
     out, go_on = tmp_path / "film.mp4", stopping(45)
     with pytest.raises(KeyboardInterrupt):
@@ -186,16 +177,13 @@ def test_parts_of_another_film_are_not_gone_on_with(arguments, tmp_path, stoppin
     assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4"]
 
 
-def test_a_file_that_changed_is_another_film(tmp_path):
+def test_a_file_that_changed_is_another_film_and_a_folder_not_ours_is_left_alone(tmp_path):
     (tmp_path / "a").write_bytes(b"1")
     before = fingerprint(tmp_path / "a"), fingerprint(tmp_path)
     (tmp_path / "a").write_bytes(b"2")
     assert before[0] != fingerprint(tmp_path / "a") and before[1] != fingerprint(tmp_path)
     with pytest.raises(AssetError, match="cannot be read"):
         fingerprint(tmp_path / "none.glb")
-
-
-def test_a_folder_that_is_not_ours_is_left_alone(tmp_path):
     parts = Parts(tmp_path / "film.mp4", 0, 50, {})
     parts.folder.mkdir()
     (parts.folder / "thesis.txt").write_text("years of work")
@@ -219,16 +207,11 @@ def test_a_part_that_lost_frames_is_noticed(arguments, tmp_path, films):
 
 
 @pytest.mark.parametrize(("start", "stop"), [(0, 1), (0, 20), (0, 21), (5, 55), (20, 40), (19, 21), (39, 120), (7, 8)])
-def test_every_frame_is_in_one_part_and_in_one_share(start, stop):
+def test_every_frame_is_in_one_part(start, stop):
     parts = Parts(Path("film.mp4"), start, stop, {})
     frames = [frame for part in parts.ranges for frame in range(*part)]
     assert frames == list(range(start, stop))
     assert all(first % 20 == 0 for first, _ in parts.ranges[1:])  # wherever the film begins
-    for count in (1, 2, 3, 7):
-        shares = [part for k in range(count) for part in parts.share(k + 1, count)]
-        assert shares == parts.ranges
-        sizes = [len(parts.share(k + 1, count)) for k in range(count)]
-        assert max(sizes) - min(sizes) <= 1
 
 
 def test_a_turntable_and_a_camera_path_are_films(arguments, tmp_path):
@@ -291,11 +274,5 @@ def test_what_a_worker_draws_is_what_is_asked_for(arguments, films, tmp_path, mo
     assert decoded(tmp_path / "part") == decoded(films / "frames")[15:18]
     wrong = dict.fromkeys(parts.identity["files"], "0" * 64)
     with pytest.raises(AssetError, match=r"tiny\.glb: differs on this worker"):
-        draw_part(json_copy(shot), (20, 23), "", wrong)
-
-
-def json_copy(shot):
-    """The same order from another film: nothing that is open serves it."""
-    from dataclasses import replace
-
-    return replace(shot, rate=json.loads("31.0"))
+        # of another film: nothing that is open serves it
+        draw_part(replace(shot, rate=31.0), (20, 23), "", wrong)

@@ -1,17 +1,23 @@
+"""Pictures and fragments against the posed surface, and what the ray under the pointer meets there."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from dual_quaternions import skin_points_dual_quaternion
 
-from avatar.camera import orbit_camera
-from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.body import builtin_body
+from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
+from avatar.skeleton import BIG_POSE, JOINTS, joint_transforms, skin_transforms
 from avatar.skinning import skin_points
 from avatar.texture import sample_texture
 from player.draw.plan import Absent, Canvas, Stage
 from player.draw.posing import posed_vertices
+from player.draw.raster import clip_planes
 from player.scene.effects import PLAIN, Effects, resolve
 from player.scene.renderer import Renderer
+from player.window.pointer import pick
+from player.window.pose_tool import on_plane_through, picked_joint
 
 SIZE = (200, 240)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
@@ -38,7 +44,9 @@ def test_the_picture_is_the_posed_surface_with_its_texture(rasteriser, render, a
     assert (image[image[..., 3] > 0] == (200, 90, 30, 255)).all()
 
 
-def test_texture_rows_run_downwards(render, avatar, pose, rasteriser):
+def test_texture_rows_run_downwards_and_a_picture_needs_no_warming(
+    render, avatar, pose, rasteriser, context, monkeypatch
+):
     color = np.zeros((256, 256, 3), np.uint8)
     color[..., 0], color[..., 1] = np.arange(256), np.arange(256)[:, None]
     level = replace(avatar.levels[0], base_color=color)
@@ -49,6 +57,9 @@ def test_texture_rows_run_downwards(render, avatar, pose, rasteriser):
     expected = sample_texture(color, uv.astype(np.float64))
     close = np.abs(image[inside][:, :2] - expected[:, :2]).max(1) <= 6  # texture seams and coarser mips aside
     assert close.mean() > 0.97
+    warmed = render(avatar, SIZE, effects=Effects())
+    monkeypatch.setattr(context, "warms", False)
+    assert np.array_equal(*(one.draw([pose], CAMERA) for one in (warmed, render(avatar, SIZE, effects=Effects()))))
 
 
 @pytest.mark.parametrize("view", VIEWS)
@@ -74,21 +85,13 @@ def test_an_avatar_named_twice_is_drawn_twice_and_shares_mesh_and_textures(conte
     assert made[0]["program"] == made[2]["program"]
 
 
-def test_a_single_picture_is_the_same_without_warming(context, render, avatar, pose, monkeypatch):
-    warmed = render(avatar, SIZE, effects=Effects())
-    monkeypatch.setattr(context, "warms", False)
-    assert np.array_equal(*(one.draw([pose], CAMERA) for one in (warmed, render(avatar, SIZE, effects=Effects()))))
-
-
-def test_what_is_not_asked_for_is_not_compiled_nor_allocated(avatar):
+def test_view_modes_are_asked_for_chosen_by_device_or_refused(avatar):
     off, vertex = (planned(avatar, view) for view in ("off", "vertex"))
     named = [{handle.name for handle in plan.handles} for plan in (off, vertex)]
     assert off.objects()["program"] == off.objects()["texture"] == 1
     assert not [name for name in named[0] if "view" in name or "turns" in name or "features" in name]
     assert {"avatar view vertices", "avatar turns", "avatar features"} <= named[1]
 
-
-def test_auto_is_per_vertex_on_software_and_the_files_own_on_a_gpu(avatar):
     def modes(plan):
         return [item.name for item in plan.passes if not isinstance(item, Absent)]
 
@@ -96,9 +99,6 @@ def test_auto_is_per_vertex_on_software_and_the_files_own_on_a_gpu(avatar):
     assert modes(planned(avatar, "auto", software=False)) == ["avatar: paper", "avatar: view network"]
     plain = replace(avatar, default_view="off")
     assert modes(planned(plain, "auto", software=False)) == ["avatar: paper"]
-
-
-def test_a_view_mode_the_avatar_lacks_is_refused(avatar):
     with pytest.raises(ValueError, match="view network is not in avatar mannequin male; it has linear, vertex, off"):
         planned(replace(avatar, network=None), "network")
     with pytest.raises(ValueError, match="'shiny'"):
@@ -123,7 +123,7 @@ def test_explain_lists_every_pass_with_why_time_and_bytes(render, avatar, pose):
     assert view["ms"] > 0 and view["bytes"] > paper["bytes"] > 0 and view["why"] == "asked for"
 
 
-def test_transparent_background_and_two_avatars(render, avatar, pose):
+def test_two_avatars_lie_over_nothing_and_a_pose_not_finite_is_refused(render, avatar, pose):
     single, double = render(avatar, SIZE, view="off"), render([avatar, avatar], SIZE, view="off")
     away = (pose[0], pose[1] + [1000.0, 0, 0])
     assert np.array_equal(single.draw([pose], CAMERA), double.draw([pose, away], CAMERA))
@@ -131,10 +131,155 @@ def test_transparent_background_and_two_avatars(render, avatar, pose):
     assert set(np.unique(image[..., 3])) == {0, 255} and (image[image[..., 3] == 0] == 0).all()
     with pytest.raises(ValueError, match="2 avatars need as many poses, found 1"):
         double.draw([pose], CAMERA)
-
-
-def test_a_pose_that_is_not_finite_is_refused(render, avatar, pose):
     bad = pose[0].copy()
     bad[7, 1] = np.nan
     with pytest.raises(ValueError, match="not finite"):
         render(avatar, SIZE, view="off").draw([(bad, pose[1])], CAMERA)
+
+
+@pytest.fixture(scope="module")
+def body():
+    body = builtin_body("female")
+    return body.vertices.astype(np.float64), body.faces
+
+
+def surface_pixels(fragments, vertices, faces, camera):
+    """Where avatar.camera.project puts the surface points found, and the pixel centres they were found at."""
+    hit = fragments.face >= 0
+    rows, columns = np.nonzero(hit)
+    points = (vertices[faces[fragments.face[hit]]] * fragments.barycentric[hit][:, :, None].astype(float)).sum(1)
+    pixels, depth = project(camera, points)
+    return pixels, np.stack([columns + 0.5, rows + 0.5], 1), depth, fragments.depth[hit]
+
+
+@pytest.mark.parametrize("skew", [0.0, 12.0])
+def test_every_fragment_lies_on_its_pixel_as_project_says(rasteriser, body, skew):
+    camera = orbit_camera((0.1, 0, 0), 2.5, 0.7, 0.3, (211, 160))
+    K = camera.K + np.array([[0, skew, -17.3], [0, 31.0, 9.1], [0, 0, 0]])  # off-centre, oblong pixels
+    camera = Camera(K, camera.camera_from_world, camera.size)
+    pixels, centers, depth, found = surface_pixels(rasteriser.draw(*body, camera), *body, camera)
+    assert len(pixels) > 1500
+    assert np.abs(pixels - centers).max() < 5e-3  # vertices snap to 1/256 pixel
+    assert np.abs(depth - found).max() < 1e-4
+
+
+def test_every_triangle_covers_the_centres_inside_it_and_the_nearer_wins(rasteriser):
+    camera = Camera(np.array([[8.0, 0, 4], [0, 8, 4], [0, 0, 1]]), np.eye(4), (8, 8))
+    corners = np.array([[0.6, 0.6], [6.9, 0.6], [0.6, 6.9]])  # pixels
+    vertices = np.concatenate([(corners - 4) / 8, np.ones((3, 1))], 1)
+    fragments = rasteriser.draw(vertices, np.array([[0, 1, 2]]), camera)
+    y, x = np.mgrid[:8, :8] + 0.5
+    inside = (x > 0.6) & (y > 0.6) & (x + y < 7.5)
+    assert np.array_equal(fragments.face == 0, inside)
+    assert np.isinf(fragments.depth[~inside]).all() and (fragments.barycentric[~inside] == 0).all()
+    weights = fragments.barycentric[inside]
+    assert np.abs(weights.sum(1) - 1).max() < 1e-6
+    assert np.abs(weights @ corners - np.stack([x, y], -1)[inside]).max() < 0.05  # corners snap to 1/256
+    camera = Camera(np.array([[50.0, 0, 32], [0, 50, 32], [0, 0, 1]]), np.eye(4), (64, 64))
+    vertices = np.array([[-0.5, -0.5, 1.0], [5.0, -5.0, 10.0], [-5.0, 5.0, 10.0]])
+    fragments = rasteriser.draw(vertices, np.array([[0, 1, 2]]), camera)
+    hit = fragments.face == 0
+    depth = fragments.barycentric[hit].astype(float) @ vertices[:, 2]
+    assert np.abs(depth / fragments.depth[hit] - 1).max() < 1e-4
+    assert depth.min() < 1.2 and depth.max() > 8
+    camera = Camera(np.array([[50.0, 0, 8], [0, 50, 8], [0, 0, 1]]), np.eye(4), (16, 16))
+    triangle = np.array([[-1, -1, 0], [1, -1, 0], [0, 1, 0]]) * 0.1
+    vertices = np.concatenate([triangle + [0, 0, 1], triangle + [0, 0, 1.001]])
+    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    near_first = rasteriser.draw(vertices, faces, camera).face
+    near_last = rasteriser.draw(vertices, faces[::-1], camera).face
+    assert set(np.unique(near_first)) <= {-1, 0} and set(np.unique(near_last)) <= {-1, 1}
+
+
+def test_culling_other_grids_nothing_in_front_and_broken_faces(rasteriser, body):
+    camera = orbit_camera((0, 0, 0), 0.01, 0, 0, (16, 16))  # inside the belly
+    assert (rasteriser.draw(*body, camera).face >= 0).all()
+    assert (rasteriser.draw(*body, camera, cull=True).face >= 0).mean() < 0.5
+    inside_out = body[1][:, ::-1]
+    assert (rasteriser.draw(body[0], inside_out, camera, cull=True).face >= 0).all()
+    camera = orbit_camera((0, 0, 0), 2.5, 0.2, 0.1, (200, 200))
+    small = rasteriser.draw(*body, camera, (50, 100))
+    assert small.face.shape == (100, 50)
+    same = rasteriser.draw(*body, camera.resized((50, 100)))
+    assert np.array_equal(small.face, same.face)
+    behind = Camera(np.array([[50.0, 0, 8], [0, 50, 8], [0, 0, 1]]), look_at((0, 0, -9), (0, 0, -10)), (16, 12))
+    fragments = rasteriser.draw(*body, behind)
+    assert (fragments.face == -1).all() and fragments.depth.shape == (12, 16)
+    camera = orbit_camera((0, 0, 0), 2, 0, 0, (8, 8))
+    with pytest.raises(ValueError, match=r"0\.\.2 of 2 vertices"):
+        rasteriser.draw(np.zeros((2, 3)), np.array([[0, 1, 2]]), camera)
+
+
+@pytest.mark.parametrize("depth", [[1.0, 3.0], [2.0, 2.0], [-5.0, 4.0], [0.0, 1e-3], [1e4, 2e4]])
+def test_clip_planes_hold_the_points_in_front(depth):
+    planes = clip_planes(np.array(depth))
+    assert planes is not None
+    near, far = planes
+    assert 0 < near < far and far > max(depth) and (near <= depth[0] or near <= 1e-3 * far)
+    assert clip_planes(np.array([-3.0, -1.0])) is None
+
+
+SMALL = (60, 80)
+
+
+def test_the_triangle_picked_is_the_triangle_drawn(rasteriser, avatar, pose):
+    camera = orbit_camera((0.1, 0, -0.2), 3.0, 0.4, 0.2, SMALL)
+    level = avatar.levels[0]
+    vertices = posed_vertices(avatar, level, pose)
+    drawn = rasteriser.draw(vertices, level.faces.astype(np.int64), camera, cull=True)
+    hits = 0
+    for row in range(2, SMALL[1], 9):
+        for column in range(1, SMALL[0], 7):
+            found = pick([avatar], [level], [pose], camera, (column + 0.5, row + 0.5))
+            face = drawn.face[row, column]
+            assert (found is None) == (face < 0), (row, column)
+            if found is not None:
+                hits += 1
+                assert found.face == face
+                depth = camera.camera_from_world[2] @ [*found.point, 1.0]
+                assert abs(depth - drawn.depth[row, column]) < 1e-4
+    assert hits > 5
+
+
+def test_joints_are_picked_where_they_are_seen_and_under_the_pointer_nearest_first(avatar, pose):
+    """In the middle of forearm, shin and head the bone is the one that moves them."""
+    joints = avatar.joint_positions.astype(float)
+    places = joint_transforms(pose[0], joints, pose[1])[:, :3, 3]
+    for joint, end in (("left_elbow", "left_wrist"), ("right_knee", "right_ankle"), ("right_elbow", "right_wrist")):
+        a, b = JOINTS.index(joint), JOINTS.index(end)
+        middle = 0.5 * (places[a] + places[b])
+        camera = Camera(pinhole(SMALL, 0.6), look_at(middle + [0.3, 0.2, 1.5], middle), SMALL)
+        found = pick([avatar], avatar.levels, [pose], camera, (SMALL[0] / 2, SMALL[1] / 2))
+        assert found is not None and found.joint == a, joint
+    places = builtin_body("male").joints.astype(float)
+    camera = orbit_camera((0, 0, 0), 3.0, 0.0, 0.0, (640, 480))
+    pixels, depth = project(camera, places)
+    for joint in ("left_elbow", "right_knee", "head"):
+        k = JOINTS.index(joint)
+        assert picked_joint(places, camera, pixels[k] + [3, -2]) == k
+    assert picked_joint(places, camera, np.array([5.0, 5.0])) is None
+    # one behind the other, one behind the eye
+    two = np.array([[0, 0, 0.5], [0, 0, -0.5], [0, 0, 9.0]])
+    assert picked_joint(two, camera, np.array([320.0, 240.0])) == 0
+
+
+def test_the_nearer_of_two_avatars_is_picked_and_a_ray_beside_them_meets_nothing(avatar):
+    still = np.zeros((52, 3))
+    poses = [(still, np.array([0.0, 0, 0])), (still, np.array([0.0, 0, 1.0]))]
+    camera = orbit_camera((0, 0, 0), 4.0, 0.0, 0.0, SMALL)
+    chest, _ = project(camera, np.array([[0.0, 0.15, 0.0]]))
+    for order, nearer in ((poses, 1), (poses[::-1], 0)):
+        found = pick([avatar] * 2, [avatar.levels[0]] * 2, order, camera, tuple(chest[0].tolist()))
+        assert found is not None and found.avatar == nearer and 2.5 < found.distance < 3.0
+    assert pick([avatar], [avatar.levels[0]], poses[:1], camera, (1.0, 1.0)) is None
+    behind = Camera(camera.K, look_at((0, 0, 4.0), (0, 0, 8.0)), SMALL)
+    assert pick([avatar], [avatar.levels[0]], poses[:1], behind, tuple(chest[0].tolist())) is None
+
+
+@pytest.mark.parametrize("pixel", [(0.0, 0.0), (320.0, 240.0), (639.0, 17.0)])
+def test_a_handle_is_dragged_to_the_pointer_at_its_own_depth(pixel):
+    camera, place = orbit_camera((0.1, 0.2, 0), 2.0, 0.7, -0.4, (640, 480)), np.array([0.3, -0.2, 0.1])
+    dragged = on_plane_through(camera, place, np.array(pixel))
+    shown, depth = project(camera, np.stack([dragged, place]))
+    np.testing.assert_allclose(shown[0], pixel, atol=1e-6)
+    assert depth[0] == pytest.approx(depth[1], abs=1e-9)

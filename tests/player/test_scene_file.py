@@ -1,4 +1,4 @@
-"""scene.toml: what is read, and how mistakes are answered."""
+"""scene.toml, how mistakes in it are answered, and the cameras, places and levels of the film that it becomes."""
 
 import json
 import tomllib
@@ -6,21 +6,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pictures import pixels
+from pictures import pictures_in, pixels
+from tiny_avatar import tiny_avatar
 
+from avatar.camera import orbit_camera, project, write_camera, write_cameras
 from command.errors import AssetError
 from command.settings import settings_of
 from experiments.scene_docs import DOCS, scene_schema, with_tables
 from player.effects.background import Background
 from player.effects.outline import Outline
-from player.film.command import render_main
+from player.film.command import RenderCommand, render_main
+from player.film.parts import Parts
+from player.film.render import level_of
+from player.film.shot import Shot
+from player.film.stage import Stage, camera_from_option
 from player.scene.effects import STUDIO, Effects
+from player.scene.opened import opened_avatars
 from player.scene.scene import Scene, SceneAvatar, SceneCamera
 from player.scene.scene_file import lines_of_keys, read_scene
+from player.window.show import opened_show
 
 FULL = '''\
 size = [640, 480]
-level_by_size = true
 rate = 24   # a comment = with [[avatar]] in it
 [[avatar]]
 path = "mannequin"
@@ -77,63 +84,49 @@ def test_every_key_arrives(scene_file):
         background=Background("hdr", STUDIO.color, str(path.parent / "sky.hdr"), exposure=-1.0),
         effects=Effects("off", "lbs", "fxaa", outline=Outline(width=3.0)),
         size=(640, 480),
-        level_by_size=True,
         rate=24.0,
     )
-
-
-def test_a_bare_scene_is_one_avatar_before_the_plain_wall(scene_file):
-    scene = read_scene(scene_file('[[avatar]]\npath = "mannequin"\n'))
-    assert scene == Scene((SceneAvatar("mannequin"),))
-    assert scene.cameras == (SceneCamera("front"),) and scene.background == STUDIO and scene.effects == Effects()
-
-
-def test_colours_are_premultiplied(scene_file):
-    scene = read_scene(scene_file('background.color = "#ff804080"\n[[avatar]]\npath = "mannequin"'))
-    alpha = 128 / 255
-    assert scene.background.color == pytest.approx((alpha, alpha * 128 / 255, alpha * 64 / 255, alpha))
 
 
 MISTAKES = [  # (what stands in FULL, what stands there instead, line, the complaint)
     (
         '"turn_deg" = 30',
         '"turndeg" = 30',
-        11,
+        10,
         r"avatar 1\.turndeg: unknown key in \[\[avatar\]\]; did you mean turn_deg\?",
     ),
-    ("[effects]", "[efects]", 27, r"efects: unknown key in a scene; did you mean effects\?"),
-    ("exposure", "qqq", 26, r"background\.qqq: unknown key in \[background\]; \[background\] has kind, color, path"),
-    ("seconds = 8", 'seconds = "8"', 19, r"camera 1\.seconds: expected a number, found the string '8'"),
-    ("start = 1", "start = true", 14, r"avatar 2\.start: expected a number, found true"),
-    ("start = 1", "start = -1", 14, r"avatar 2\.start: expected at least 0, found -1"),
-    ("rate = 24", "rate = 0", 3, r"rate: expected at least 0.01, found 0"),
-    ("rate = 24", "rate = inf", 3, r"rate: expected a finite number, found inf"),
-    ("rate = 24", "rate = ", 3, r"Invalid value, column 11"),
+    ("[effects]", "[efects]", 26, r"efects: unknown key in a scene; did you mean effects\?"),
+    ("exposure", "qqq", 25, r"background\.qqq: unknown key in \[background\]; \[background\] has kind, color, path"),
+    ("seconds = 8", 'seconds = "8"', 18, r"camera 1\.seconds: expected a number, found the string '8'"),
+    ("start = 1", "start = true", 13, r"avatar 2\.start: expected a number, found true"),
+    ("start = 1", "start = -1", 13, r"avatar 2\.start: expected at least 0, found -1"),
+    ("rate = 24", "rate = 0", 2, r"rate: expected at least 0.01, found 0"),
+    ("rate = 24", "rate = inf", 2, r"rate: expected a finite number, found inf"),
+    ("rate = 24", "rate = ", 2, r"Invalid value, column 11"),
     ("[640, 480]", "[640]", 1, r"size: expected 2 whole numbers in brackets, found 1 of them"),
     ("[640, 480]", "[640, 480.5]", 1, r"size: expected a whole number, found the number 480\.5"),
     ("[640, 480]", '"640x480"', 1, r"size: expected 2 whole numbers in brackets, found the string '640x480'"),
-    ("  -1]", "  nan]", 7, r"avatar 1\.at: expected a finite number"),
-    ('"walking"', '"wlking"', 6, r"avatar 1\.motion: no such file: .*wlking \(and it is none of counting, walking\)"),
-    ('"sky.hdr"', '"sky.exr"', 25, r"background\.path: no such file: .*sky\.exr"),
-    ('path = "sky.hdr"\n', "", 23, r"background: background hdr needs a path"),
-    ('kind = "hdr"', 'kind = "sky"', 24, r"background\.kind: expected one of color, image, video, hdr, transparent"),
+    ("  -1]", "  nan]", 6, r"avatar 1\.at: expected a finite number"),
+    ('"walking"', '"wlking"', 5, r"avatar 1\.motion: no such file: .*wlking \(and it is none of counting, walking\)"),
+    ('"sky.hdr"', '"sky.exr"', 24, r"background\.path: no such file: .*sky\.exr"),
+    ('path = "sky.hdr"\n', "", 22, r"background: background hdr needs a path"),
+    ('kind = "hdr"', 'kind = "sky"', 23, r"background\.kind: expected one of color, image, video, hdr, transparent"),
     (
         'kind = "hdr"',
         'kind = "transparent"\ncolor = "#000000"',
-        25,
+        24,
         r"background\.color: a transparent background takes no color",
     ),
-    ("exposure = -1", 'color = "red"', 26, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
-    ("vmc:0.0.0.0:39539", "osc:1", 15, r"avatar 2\.live: expected vmc:PORT or udp:PORT or ws:PORT, found 'osc:1'"),
-    ("start = 1", 'motion = "walking"', 14, r"avatar 2\.motion: motion and live: expected one of them, found both"),
-    ('path = """mannequin:female"""\n', "", 12, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),
-    ('kind = "front"', 'kind = "file"', 20, r"camera 2: camera file needs a path"),
-    ("fov_deg = 40", "fov_deg = 180", 22, r"camera 2\.fov_deg: expected less than 180, found 180"),
-    ("width = 3", "width = 0", 31, r"effects\.outline\.width: expected more than 0, found 0"),
-    ("width = 3", 'color = "#ff000080"', 31, r"effects\.outline\.color: expected an opaque color"),
-    ("width = 3", "with = 2", 31, r"effects\.outline\.with: unknown key in \[effects\.outline\]; did you mean width\?"),
-    ("= true", "= 1", 2, r"level_by_size: expected true or false, found the number 1"),
-    ("fxaa", "smaa", 29, r"effects\.antialiasing: expected one of auto, none, fxaa, msaa, found 'smaa'"),
+    ("exposure = -1", 'color = "red"', 25, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
+    ("vmc:0.0.0.0:39539", "osc:1", 14, r"avatar 2\.live: expected vmc:PORT or udp:PORT or ws:PORT, found 'osc:1'"),
+    ("start = 1", 'motion = "walking"', 13, r"avatar 2\.motion: motion and live: expected one of them, found both"),
+    ('path = """mannequin:female"""\n', "", 11, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),
+    ('kind = "front"', 'kind = "file"', 19, r"camera 2: camera file needs a path"),
+    ("fov_deg = 40", "fov_deg = 180", 21, r"camera 2\.fov_deg: expected less than 180, found 180"),
+    ("width = 3", "width = 0", 30, r"effects\.outline\.width: expected more than 0, found 0"),
+    ("width = 3", 'color = "#ff000080"', 30, r"effects\.outline\.color: expected an opaque color"),
+    ("width = 3", "with = 2", 30, r"effects\.outline\.with: unknown key in \[effects\.outline\]; did you mean width\?"),
+    ("fxaa", "smaa", 28, r"effects\.antialiasing: expected one of auto, none, fxaa, msaa, found 'smaa'"),
 ]
 
 
@@ -145,7 +138,7 @@ def test_a_mistake_is_answered_by_line_and_key(scene_file, right, wrong, line, c
         read_scene(path)
 
 
-def test_tables_of_the_wrong_kind_and_empty_scenes(scene_file):
+def test_tables_of_the_wrong_kind_are_refused_and_a_bare_scene_has_defaults(scene_file):
     with pytest.raises(AssetError, match=r"toml:1: camera: expected \[\[camera\]\], found a table"):
         read_scene(scene_file('[camera]\n[[avatar]]\npath = "mannequin"'))
     with pytest.raises(AssetError, match=r"toml:1: effects: expected a table, \[effects\], found the number 3"):
@@ -156,6 +149,12 @@ def test_tables_of_the_wrong_kind_and_empty_scenes(scene_file):
         read_scene(scene_file("\n"))
     with pytest.raises(AssetError, match=r"absent\.toml: no such file; expected a scene"):
         read_scene(Path("absent.toml"))
+    scene = read_scene(scene_file('[[avatar]]\npath = "mannequin"\n'))
+    assert scene == Scene((SceneAvatar("mannequin"),))
+    assert scene.cameras == (SceneCamera("front"),) and scene.background == STUDIO and scene.effects == Effects()
+    scene = read_scene(scene_file('background.color = "#ff804080"\n[[avatar]]\npath = "mannequin"'))
+    alpha = 128 / 255
+    assert scene.background.color == pytest.approx((alpha, alpha * 128 / 255, alpha * 64 / 255, alpha))
 
 
 def test_lines_of_keys_knows_every_key_that_toml_reads():
@@ -198,16 +197,12 @@ def test_examples_can_be_filmed(tmp_path, scene):
     assert len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 100
 
 
-def test_schema_and_tables_in_docs_are_those_of_the_dataclasses():
+def test_schema_tables_and_example_on_the_page_are_those_of_the_dataclasses(tmp_path):
     assert json.loads((DOCS / "scene.schema.json").read_text()) == scene_schema()
     page = (DOCS / "scenes.md").read_text()
     assert with_tables(page) == page
     for record in (SceneAvatar, SceneCamera, Background, Effects):
         assert all(f"| `{fact.name}` |" in page for fact in settings_of(record))
-
-
-def test_the_example_on_the_page_is_a_scene(tmp_path):
-    page = (DOCS / "scenes.md").read_text()
     text = page.split("```toml\n")[1].split("```")[0]
     (tmp_path / "me.glb").touch()
     (tmp_path / "sky.hdr").touch()
@@ -250,3 +245,147 @@ def accepts(schema, value):
         assert "pattern" not in schema or __import__("re").search(schema["pattern"], value)
     else:
         assert value >= schema.get("minimum", value) and value > schema.get("exclusiveMinimum", value - 1)
+
+
+def test_cameras_of_a_capture_are_taken_frame_by_frame_and_the_last_one_stays(tiny_path, tmp_path):
+    cameras = [orbit_camera((0, 0.9, 0), 3.0, 0.5 * k, 0.1, (40, 48)) for k in range(3)]
+    write_cameras(tmp_path / "cameras.npz", cameras)
+    base = [tiny_path, "--motion", "walking", "--frames", "0:5"]
+    render_main([*base, "--camera", str(tmp_path / "cameras.npz"), "-o", str(tmp_path / "all")])
+    taken = pictures_in(tmp_path / "all")
+    assert len(taken) == 5 and taken[0].shape == (48, 40, 3)  # the cameras' size
+    for k in range(3):
+        write_camera(tmp_path / "one.json", cameras[k])
+        render_main([*base, "--camera", str(tmp_path / "one.json"), "-o", str(tmp_path / f"{k}")])
+        alone = pictures_in(tmp_path / f"{k}")
+        assert np.array_equal(taken[k], alone[k])
+    assert np.array_equal(taken[4], alone[4]) and not np.array_equal(taken[0], alone[0])
+
+
+def test_what_camera_means_is_seen_from_the_name_and_the_file(tmp_path):
+    camera = orbit_camera((0, 0.9, 0), 3.0, 0.5, 0.1, (40, 48))
+    write_camera(tmp_path / "camera.json", camera)
+    (tmp_path / "path.json").write_text(json.dumps({"keys": [{"t": 0, "eye": [0, 1, 2], "target": [0, 1, 0]}]}))
+    (tmp_path / "capture").mkdir()
+    kinds = {
+        "front": ("front", None), "orbit": ("orbit", None), "turntable": ("turntable", None),
+        str(tmp_path / "camera.json"): ("file", None), str(tmp_path / "path.json"): ("path", None),
+        str(tmp_path / "cameras.npz"): ("file", None), str(tmp_path / "capture"): ("capture", None),
+        f"{tmp_path / 'capture'}:head": ("capture", "head"),
+    }  # fmt: skip
+    for text, (kind, name) in kinds.items():
+        found = camera_from_option(text)
+        assert (found.kind, found.name) == (kind, name)
+    with pytest.raises(AssetError, match=r"none\.json"):
+        camera_from_option("none.json")
+
+
+@pytest.mark.parametrize("kind", ["front", "orbit", "turntable"])
+def test_fitted_cameras_see_all_avatars_in_their_places_all_the_time(tiny_path, kind):
+    actors = (
+        SceneAvatar(tiny_path, "walking", at=(-0.8, 0.0, 0.3), turn_deg=40.0),
+        SceneAvatar(tiny_path, "counting", at=(0.9, 0.0, 0.0), start=1.0),
+    )
+    stage = Stage(Scene(actors, cameras=(SceneCamera(kind, seconds=None if kind == "front" else 1.0),)))
+    camera_at = stage.camera_at(stage.fit(0, 45), 0, 45, (300, 200))
+    for frame in range(0, 45, 4):
+        poses = stage.poses(frame)
+        camera = camera_at(frame, poses[0][1])
+        pelvises = np.stack([root for _, root in poses])
+        pixels, depth = project(camera, pelvises)
+        assert (depth > 0).all() and (pixels > 20).all() and (pixels < (280, 180)).all()
+    if kind != "front":  # one round a second, at the motion's 30 frames
+        first, after = (camera_at(frame, np.zeros(3)).camera_from_world for frame in (0, 30))
+        assert np.abs(first - after).max() < 1e-9
+        assert np.abs(camera_at(15, np.zeros(3)).camera_from_world - first).max() > 1
+
+
+def test_levels_and_qualities_choose_what_is_drawn(tiny_path, tmp_path):
+    def passes(*more):
+        out = tmp_path / "passes.json"
+        words = "--motion walking --frame 3 --size 40x48 --explain --json".split()
+        render_main([tiny_path, *words, str(out), *more, "-o", str(tmp_path / "a.png")])
+        return {row["name"]: row for row in json.loads(out.read_text())["passes"]}
+
+    good, draft, best = passes(), passes("--quality", "draft"), passes("--quality", "best")
+    triangles = len(tiny_avatar().levels[0].faces), len(tiny_avatar().levels[1].faces)
+    fine, coarse = (passes("--view", "off", "--level", level) for level in ("0", "1"))
+    assert f"{triangles[0]} triangles" in str(fine) and f"{triangles[1]} triangles" in str(coarse)
+    assert f"{triangles[1]} triangles" in str(draft)
+    running = [{name for name, row in rows.items() if row["runs"]} for rows in (good, draft, best)]
+    assert running[0] == {"avatar: view vertex", "antialiasing: fxaa"} and running[1] == {"avatar: paper"}
+    assert running[2] == {"avatar: view network", "antialiasing: msaa"}
+    assert "antialiasing: msaa" not in passes("--quality", "best", "--antialiasing", "fxaa")
+    assert (
+        not {"antialiasing: msaa", "antialiasing: fxaa"} & passes("--quality", "best", "--antialiasing", "none").keys()
+    )
+
+
+def test_a_draft_takes_the_third_of_four_levels_and_the_body_stands_as_it_stands(tiny_path):
+    assert level_of(RenderCommand("a.mp4", ("me.glb",), quality="draft")) == 2
+    assert level_of(RenderCommand("a.mp4", ("me.glb",), quality="draft", level=3)) == 3
+    assert level_of(RenderCommand("a.mp4", ("me.glb",))) == 0
+    # A picture reads one level, the window all: both put the root at the same height.
+    scene = Scene(avatars=(SceneAvatar(tiny_path, motion="walking"),))
+    (all_of,), (one,) = (Stage(scene, levels).poses(7) for levels in (None, 1))
+    assert np.array_equal(all_of[0], one[0]) and np.array_equal(all_of[1], one[1])
+
+
+def test_an_order_names_all_its_files_and_changes_with_each(tiny_path, tmp_path):
+    camera = tmp_path / "camera.json"
+    write_camera(camera, orbit_camera((0, 0.9, 0), 3.0, 0.5, 0.1, (40, 48)))
+    scene = Scene((SceneAvatar(tiny_path, "walking"),), cameras=(SceneCamera("file", str(camera)),))
+    shot = Shot(scene, 0, 10, (40, 48), 30.0, None)
+    assert shot.files() == sorted([tiny_path, str(camera)])
+    before = Parts(tmp_path / "a.mp4", 0, 10, shot.identity())
+    before.begin(resume=False)
+    write_camera(camera, orbit_camera((0, 0.9, 0), 3.0, 0.6, 0.1, (40, 48)))
+    with pytest.raises(AssetError, match=r"\(files differ\)"):
+        Parts(tmp_path / "a.mp4", 0, 10, shot.identity()).begin(resume=True)
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        (Scene(()), "no avatar"),
+        (Scene((SceneAvatar("mannequin", live="vmc:39539"),)), "live = 'vmc:39539' is for `selfscan play`"),
+        (Scene((SceneAvatar("mannequin"),), cameras=(SceneCamera("capture", "none"),)), "none"),
+    ],
+)
+def test_scenes_that_make_no_film_are_refused(scene, message):
+    with pytest.raises(AssetError, match=message):
+        Stage(scene)
+
+
+def test_what_was_assumed_about_several_motions_says_of_which_avatar(tiny_path, tmp_path):
+    pose = np.zeros((4, 156))
+    pose[:, 0] = np.pi / 2
+    np.savez(tmp_path / "in.npz", poses=pose, trans=np.tile([0, 0, 0.9], (4, 1)), mocap_framerate=30.0)
+    one, two = SceneAvatar(tiny_path, motion=str(tmp_path / "in.npz")), SceneAvatar("mannequin", motion="counting")
+    both, alone = Stage(Scene((one, two))), Stage(Scene((one,)))
+    assert both.name == "the scene" and alone.name.endswith("in.npz")
+    assert sum(note.startswith("hands: as stored") for note in both.notes) == 1
+    assert any(note.startswith("avatar 1 (") and "up: z" in note for note in both.notes)
+    assert any(note.startswith("avatar 2 (counting), up: y") for note in both.notes)
+    assert Stage(Scene((two, two))).notes == Stage(Scene((two,))).notes
+    assert not any(note.startswith("avatar 1") for note in alone.notes)
+
+
+def test_films_and_the_window_open_a_scene_alike(tmp_path):
+    write_camera(tmp_path / "camera.json", orbit_camera((0, 1, 0), 3.0, 0.2, 0.0, (50, 70)))
+    scene = Scene(
+        (SceneAvatar("mannequin", "walking", at=(0.5, 0.0, -1.0), turn_deg=30.0, start=0.5), SceneAvatar("mannequin")),
+        cameras=(SceneCamera("file", str(tmp_path / "camera.json")),),
+        rate=25.0,
+    )
+    stage, show = Stage(scene), opened_show(scene, opened_avatars(scene))
+    assert stage.avatars[0] is stage.avatars[1], "read once"
+    assert [track.name for track in stage.tracks] == [track.name for track in show.playback.tracks]
+    assert stage.notes == show.notes != []
+    assert stage.frames == show.playback.timeline.frames
+    show.playback.timeline.scrub(1.2)
+    for filmed, shown in zip(stage.poses(30), show.playback.poses(), strict=True):
+        assert np.array_equal(filmed[0], shown[0]) and np.array_equal(filmed[1], shown[1])
+    size = stage.size()
+    filmed = stage.camera_at(None, 0, stage.frames, size)(30, np.zeros(3))
+    assert np.allclose(filmed.camera_from_world, show.cameras.camera(size, 1.2, 30).camera_from_world)

@@ -1,14 +1,21 @@
-"""Time that plays, loops, steps and scrubs, and the tracks on it."""
+"""Time that plays, loops, steps and scrubs, the tracks on it, and cameras that move along it."""
+
+import json
 
 import numpy as np
 import pytest
+from pictures import pictures_in
 
+from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
 from avatar.motion.clip import Clip, Motion
 from avatar.rotation import matrix_from_axis_angle
+from command.errors import AssetError
+from player.film.command import render_main
+from player.scene.camera_path import CameraPath, is_path
 from player.scene.motions import BLOCK
 from player.scene.track import Track
 from player.window.playback import Playback
-from player.window.timeline import LOOPS, SPEEDS, Timeline
+from player.window.timeline import SPEEDS, Timeline
 
 
 def test_a_second_of_play_is_a_second_of_clip_at_any_speed():
@@ -20,40 +27,7 @@ def test_a_second_of_play_is_a_second_of_clip_at_any_speed():
         assert line.frame == int(30 * speed) and abs(line.seconds - speed) < 1e-12
 
 
-def test_the_range_from_a_to_b_loops_runs_once_or_to_and_fro():
-    def frames(loop, steps):
-        line = Timeline(100, 10)
-        line.loop = loop
-        line.set_a(20)
-        line.set_b(24)
-        line.seek(22)
-        seen = []
-        for _ in range(steps):
-            seen.append(line.frame)
-            line.advance(0.1)
-        return seen, line
-
-    assert frames("loop", 9)[0] == [22, 23, 24, 20, 21, 22, 23, 24, 20]
-    assert frames("to and fro", 12)[0] == [22, 23, 24, 24, 23, 22, 21, 20, 20, 21, 22, 23]
-    seen, line = frames("once", 6)
-    assert seen == [22, 23, 24, 24, 24, 24] and not line.playing
-    line.toggle()
-    assert line.playing and line.frame == 20  # played to its end, it begins anew
-
-
-def test_a_after_b_frees_the_other_end_and_the_range_stays_inside_the_clip():
-    line = Timeline(100, 30)
-    line.set_b(10)
-    line.set_a(50)
-    assert (line.a, line.b) == (50, None)
-    line.set_b(40)
-    assert (line.a, line.b) == (None, 40)
-    line.set_a(-5)
-    line.set_b(1000)
-    assert (line.a, line.b) == (0, 99)
-
-
-def test_steps_pause_and_stop_at_the_ends_and_scrubbing_shows_the_moment():
+def test_steps_pause_and_a_timeline_needs_frames():
     line = Timeline(100, 30)
     line.step(-3)
     assert line.frame == 0 and not line.playing
@@ -62,23 +36,19 @@ def test_steps_pause_and_stop_at_the_ends_and_scrubbing_shows_the_moment():
     for seconds in (0.0, 1.0, 1.033, 99.0, -1.0):
         line.scrub(seconds)
         assert line.frame == min(max(int(seconds * 30 + 1e-6), 0), 99)
+    for frames, rate in ((0, 30), (10, 0), (10, float("nan"))):
+        with pytest.raises(ValueError, match="needs frames and a rate"):
+            Timeline(frames, rate)
 
 
-@pytest.mark.parametrize("loop", LOOPS)
-def test_time_stays_in_the_clip_over_a_long_run(loop):
+def test_time_stays_in_the_clip_over_a_long_run():
     line = Timeline(7, 30)
-    line.loop, line.speed = loop, 4.0
+    line.speed = 4.0
     rng = np.random.default_rng(0)
     for dt in [float("nan"), *rng.uniform(-0.1, 1.0, 20_000)]:
         line.advance(dt)
         assert 0 <= line.seconds <= line.duration
         assert 0 <= line.frame < 7
-
-
-def test_a_timeline_needs_frames_and_a_rate():
-    for frames, rate in ((0, 30), (10, 0), (10, float("nan"))):
-        with pytest.raises(ValueError, match="needs frames and a rate"):
-            Timeline(frames, rate)
 
 
 def numbered(frames, rate=30.0, reads=None):
@@ -94,7 +64,7 @@ def numbered(frames, rate=30.0, reads=None):
     return Track(Motion("", frames, rate, (), block))
 
 
-def test_each_track_has_its_own_rate_start_and_length():
+def test_tracks_have_their_own_time_and_place_and_read_blocks():
     slow, fast = numbered(10, 10.0), numbered(200, 100.0)
     fast.start = 0.5
     playback = Playback([slow, fast])
@@ -103,18 +73,12 @@ def test_each_track_has_its_own_rate_start_and_length():
     assert [pose[1][1] for pose in playback.poses()] == [4, 92]
     playback.timeline.seconds = 1.45
     assert [pose[1][1] for pose in playback.poses()] == [9, 195]  # past its end the last frame is held
-
-
-def test_a_track_reads_blocks_and_keeps_two():
     reads = []
     track = numbered(10 * BLOCK, reads=reads)
     for frame in [*range(3 * BLOCK), 3 * BLOCK - 1, 2 * BLOCK - 1, 2 * BLOCK]:
         assert track.pose((frame + 0.5) / 30)[1][1] == frame
     assert reads == [(k * BLOCK, (k + 1) * BLOCK) for k in range(3)]
     assert len(track._blocks) == 2
-
-
-def test_a_place_turns_the_body_about_the_vertical_and_then_moves_it():
     rng = np.random.default_rng(1)
     axis_angle, root = rng.normal(size=(1, 52, 3)), rng.normal(size=(1, 3))
     track = Track(Clip(axis_angle, root, 30.0), at=np.array([1.0, 0.0, -2.0]), turn=2.0)
@@ -123,3 +87,163 @@ def test_a_place_turns_the_body_about_the_vertical_and_then_moves_it():
     assert np.allclose(place, turned @ root[0] + [1, 0, -2], atol=1e-12)
     assert np.allclose(matrix_from_axis_angle(pose[0]), turned @ matrix_from_axis_angle(axis_angle[0, 0]), atol=1e-12)
     assert np.array_equal(pose[1:], axis_angle[0, 1:])
+
+
+SIZE = (320, 240)
+KEYS = [
+    {"t": 0.0, "eye": [0, 1, 3], "target": [0, 1, 0]},
+    {"t": 1.0, "eye": [2, 1.5, 2], "target": [0.2, 1, 0], "fov_deg": 20},
+    {"t": 3.5, "eye": [3, 1, 0], "target": [0, 1.2, 0.1], "fov_deg": 60},
+]
+
+
+def written(tmp_path, keys):
+    path = tmp_path / "path.json"
+    path.write_text(json.dumps({"keys": keys}))
+    return path
+
+
+@pytest.fixture
+def path(tmp_path):
+    return CameraPath.read(written(tmp_path, KEYS))
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_the_path_passes_through_its_keys(path, number):
+    key = KEYS[number]
+    camera = path.camera(key["t"], SIZE)
+    expected = look_at(key["eye"], key["target"])
+    assert np.abs(camera.camera_from_world - expected).max() < 1e-12
+    assert np.abs(camera.K - pinhole(SIZE, np.radians(key.get("fov_deg", 35)))).max() < 1e-9
+
+
+def test_the_path_is_smooth_stands_still_at_its_ends_and_a_straight_run_stays_even(path):
+    """Second differences over a step h fall as h^2 (no kink), and first ones as h (no jump)."""
+    for time in (1.0, 0.4, 2.0):
+        rows = []
+        for h in (1e-3, 5e-4):
+            cameras = [path.camera(time + k * h, SIZE) for k in (-1, 0, 1)]
+            flat = [np.concatenate([c.K.ravel(), c.camera_from_world.ravel()]) for c in cameras]
+            rows.append((flat[2] - flat[0], flat[2] - 2 * flat[1] + flat[0]))
+        assert np.allclose(rows[0][0], 2 * rows[1][0], rtol=0.05, atol=1e-4)
+        assert np.abs(rows[1][1]).max() <= 0.6 * np.abs(rows[0][1]).max() + 1e-9
+    for time, key in ((-5.0, 0), (99.0, 2)):
+        assert np.allclose(path.camera(time, SIZE).eye, KEYS[key]["eye"], atol=1e-12)
+    assert path.duration == 3.5
+    cameras = [Camera(pinhole(SIZE, 0.6), look_at((x, 1, 4), (x, 1, 0)), SIZE) for x in (0.0, 0.5, 2.0)]
+    run = CameraPath.through([0.0, 1.0, 4.0], cameras, 4.0)
+    for time in np.linspace(0, 4, 9):
+        assert np.abs(run.camera(time, SIZE).eye - (0.5 * time, 1, 4)).max() < 1e-12
+
+
+def test_camera_files_are_keys_and_any_size_shows_the_same_height(tmp_path):
+    K = np.array([[900.0, 1.5, 300], [0, 880, 260], [0, 0, 1]])
+    held = Camera(K, look_at((1, 2, 3), (0, 1, 0), (0.3, 1, 0)), (640, 480))
+    key = {"t": 2.0, "size": [640, 480], "K": K.tolist(), "camera_from_world": held.camera_from_world.tolist()}
+    path = CameraPath.read(written(tmp_path, [KEYS[0], key]))
+    same = path.camera(2.0, (640, 480))
+    assert np.abs(same.K - K).max() < 1e-9
+    assert np.abs(same.camera_from_world - held.camera_from_world).max() < 1e-12
+    wide = path.camera(2.0, (1280, 480))  # more to the sides, the same from top to bottom
+    points = np.random.default_rng(0).normal(size=(20, 3)) * 0.3 + [0, 1, 0]
+    (a, _), (b, _) = project(same, points), project(wide, points)
+    assert np.abs(b - a - (320, 0)).max() < 1e-6
+
+
+def test_what_is_written_is_read_again(path, tmp_path):
+    tilted = Camera(
+        np.array([[90.0, 0, 30], [0, 88, 26], [0, 0, 1]]), look_at((1, 2, 3), (0, 1, 0), (1, 1, 0)), (64, 48)
+    )
+    for kept in (path, CameraPath.through([0.0, 2.0], [tilted, orbit_camera((0, 1, 0), 2, 1, 0, SIZE)])):
+        kept.write(tmp_path / "again.json")
+        again = CameraPath.read(tmp_path / "again.json")
+        for time in kept.seconds:
+            a, b = kept.camera(time, SIZE), again.camera(time, SIZE)
+            assert np.abs(a.K - b.K).max() < 1e-9
+            assert np.abs(a.camera_from_world - b.camera_from_world).max() < 1e-12
+    assert is_path(tmp_path / "again.json")
+
+
+def test_eye_and_target_that_meet_keep_a_direction_and_what_is_no_json_is_refused(tmp_path):
+    keys = [{"t": 0, "eye": [0, 1, 1], "target": [0, 1, 0]}, {"t": 1, "eye": [0, 1, -1], "target": [0, 1, 0]}]
+    path = CameraPath.read(written(tmp_path, keys))
+    for time in np.linspace(0, 1, 101):
+        assert np.isfinite(path.camera(time, SIZE).camera_from_world).all()
+    assert np.allclose(path.camera(0.5, SIZE).camera_from_world[2, :3], (0, 0, -1))
+    (tmp_path / "x.json").write_text("[" * 10)
+    with pytest.raises(AssetError, match=r"camera \(path\)"):
+        is_path(tmp_path / "x.json")
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ([], "at least one key"),
+        ([KEYS[1], KEYS[0]], "key 1: t should be after 1, is 0"),
+        ([KEYS[0], KEYS[0]], "key 1: t should be after 0"),
+        ([{"t": "now", "eye": [0, 0, 1], "target": [0, 0, 0]}], "key 0: t should be a number, is now"),
+        ([{"t": 0, "eye": [0, 0], "target": [0, 0, 0]}], "eye: expected 3 numbers"),
+        ([{"t": 0, "eye": [0, 0, 1], "target": [0, 0, 1]}], "target: expected another place"),
+        ([{"t": 0, "eye": [0, 0, 1], "target": [0, 0, 0], "fov_deg": 180}], "fov_deg: expected at most 175"),
+        ([{"t": 0, "eye": [0, 0, 1], "target": [0, 0, 0], "fov": 30}], "fov: unknown key in a key"),
+        ([{"t": 0, "eye": [0, 0, 1], "target": [0, 0, 0], "up": [0, 0, 0]}], "up: expected a direction"),
+        ([{"t": 0, "K": [[1]]}], "no .*camera_from_world"),
+        ([5], "key 0: expected an object"),
+    ],
+)
+def test_a_wrong_path_names_key_and_field(tmp_path, keys, message):
+    with pytest.raises(AssetError, match=message):
+        CameraPath.read(written(tmp_path, keys))
+
+
+SIZES = [(640, 640), (360, 640), (640, 360), (480, 270), (200, 600)]
+
+
+def margins(folder, size):
+    """Pixels free at the left, right, top and bottom of all frames together."""
+    seen = np.zeros((size[1], size[0]), bool)
+    pictures = pictures_in(folder)
+    assert pictures
+    for picture in pictures:
+        seen |= picture[..., 3] > 0
+    rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
+    return columns[0], size[0] - 1 - columns[-1], rows[0], size[1] - 1 - rows[-1]
+
+
+def filmed(avatar_path, folder, size, *options):
+    plain = ["--view", "off", "--level", "9", "--background", "transparent", "--size", f"{size[0]}x{size[1]}"]
+    assert render_main([avatar_path, *plain, *options, "-o", str(folder)]) == 0
+    return margins(folder, size)
+
+
+def check(found, size, *, play):
+    """6 % in the direction that decides, no less in the other, both sides alike within `play` of the picture."""
+    left, right, top, bottom = found
+    width, height = size
+    shares = (left / width, right / width, top / height, bottom / height)
+    assert min(shares) > 0.06 - play, shares
+    assert min(max(shares[:2]), max(shares[2:])) < 0.06 + play, shares
+    assert abs(left - right) <= play * width and abs(top - bottom) <= play * height, found
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(
+    "motion, frames, play", [("counting", "60:61", 0.008), ("walking", "0:24", 0.012), ("counting", "0:40", 0.012)]
+)
+def test_front_leaves_even_margins_round_a_picture_and_a_film(avatar_path, tmp_path, size, motion, frames, play):
+    check(filmed(avatar_path, tmp_path / "f", size, "--motion", motion, "--frames", frames), size, play=play)
+
+
+@pytest.mark.parametrize("size", SIZES[:3])
+@pytest.mark.parametrize("camera", ["orbit", "turntable"])
+def test_a_camera_that_goes_round_leaves_even_margins(avatar_path, tmp_path, size, camera):
+    seconds = ("--seconds", "1.5") if camera == "turntable" else ()
+    found = filmed(
+        avatar_path, tmp_path / "f", size, "--motion", "counting", "--frames", "0:45", "--camera", camera, *seconds
+    )
+    check(found, size, play=0.02)
+
+
+def test_a_t_pose_fills_the_width(avatar_path, tmp_path):
+    left, right, top, bottom = filmed(avatar_path, tmp_path / "f", (640, 640))
+    assert abs(left - 38) <= 4 and abs(right - 38) <= 4 and abs(top - bottom) <= 4

@@ -21,7 +21,7 @@ from tests.window_script import run
 
 FOLDER = Path(player.window.panels.__file__).parent
 INTERACTIVE = (
-    "button", "small_button", "checkbox", "combo", "begin_combo", "selectable", "collapsing_header", "tree_node",
+    "button", "checkbox", "combo", "begin_combo", "selectable", "collapsing_header", "tree_node",
     "slider_float", "slider_int", "drag_float", "drag_float3", "input_text", "input_text_with_hint", "input_float",
     "color_edit3", "radio_button", "menu_item",
 )  # fmt: skip
@@ -48,17 +48,6 @@ def test_panels_reach_interactive_widgets_only_where_a_tooltip_is_asked_for():
             assert needed & {"tip", "action"}, name
 
 
-def test_no_object_of_the_window_has_thirty_attributes(opened):
-    window = opened()
-    parts = window.parts
-    run(window, "p wait")
-    for thing in (
-        window, window.screen, window.pointer, window.keyboard, window.panels, parts, parts.state, parts.state.layout,
-        parts.viewpoint, parts.look, parts.posing, parts.posing.edit, parts.posing.edit.tool, parts.recorder,
-    ):  # fmt: skip
-        assert len(vars(thing)) <= 12, (type(thing).__name__, sorted(vars(thing)))
-
-
 @pytest.fixture
 def opened(open_window):
     """Opens windows with panels, paused at the first frame."""
@@ -68,7 +57,7 @@ def opened(open_window):
 def test_every_widget_has_a_tooltip_of_its_own_and_it_is_shown(opened):
     window = opened()
     window.parts.state.selection.choose(0, 18)
-    run(window, "p k i press:Keyframes wait press:Keyframes wait press:left_fingers wait wait")
+    run(window, "p k press:left_fingers wait wait")
     tips = window.panels.tips
     assert len(tips) > 80 and all(len(tip) > 5 for tip in tips.values())
     words = [tip for name, tip in tips.items() if not name.startswith("path")]
@@ -94,30 +83,33 @@ def test_the_list_of_keys_is_shown_over_panels_and_goes_away(opened, key):
     listed = run(window, f"{key} move:640:100 wait")
     middle = np.s_[300:500, 400:900]
     assert (np.abs(listed - [255, 204, 51]).max(-1) < 40)[:, 100:1180].sum() > 500
-    assert (listed[middle] < 40).all(-1).mean() > 0.7
+    assert (listed[middle] < 40).all(-1).mean() > 0.65
     closed = run(window, "escape wait")
     assert not window.parts.closing
     assert np.array_equal(closed[middle], before[middle])
 
 
-def test_saving_a_pose_is_in_sight_in_a_usual_window(opened):
+def test_saving_a_pose_is_in_sight_and_few_attributes_are_on_each_object(opened):
     window = opened()
     run(window, "p wait wait")
     low = window.parts.state.layout.area[3]
-    for name in ("save", "load", "file", "undo", "joint", "left fist", "pin left foot", "key"):
+    for name in ("save", "load", "file", "undo", "joint", "left fist", "pin left foot"):
         assert window.panels.places[name][1] < low - 8, name
+    parts = window.parts
+    for thing in (
+        window, window.screen, window.pointer, window.keyboard, window.panels, parts, parts.state, parts.state.layout,
+        parts.viewpoint, parts.look, parts.posing, parts.posing.edit, parts.posing.edit.tool, parts.recorder,
+    ):  # fmt: skip
+        assert len(vars(thing)) <= 12, (type(thing).__name__, sorted(vars(thing)))
 
 
-def test_of_a_long_path_the_file_s_name_is_in_sight_and_the_whole_in_the_tooltip(opened, tmp_path):
+def test_of_a_long_path_the_name_is_in_sight_and_the_middle_goes_last(opened, tmp_path, monkeypatch):
     folder = tmp_path / "a_folder_with_quite_a_long_name" / "and_another_one_in_it" / "and_a_last_one"
     folder.mkdir(parents=True)
     path = folder / "my_motion.npz"
     path.write_bytes((Path(avatar.__file__).parent / "data" / "motions" / "counting.npz").read_bytes())
     window = opened("--motion", str(path))
     assert window.panels.tips["path motion"] == str(path)
-
-
-def test_paths_lose_their_folders_first_then_the_middle_of_their_name(monkeypatch):
     monkeypatch.setattr(widgets.imgui, "calc_text_size", lambda text: widgets.imgui.ImVec2(float(len(text)), 1.0))
     path = "/home/someone/motions/walking/slowly.bvh"
     assert elided(path, 99.0) == path

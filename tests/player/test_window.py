@@ -16,7 +16,7 @@ from command.errors import AssetError
 from player.gl.context import open_context
 from player.play_command import play_main
 from player.scene.camera_path import CameraPath
-from player.scene.cameras import Cameras, Orbit, Walk
+from player.scene.cameras import Cameras, Orbit
 from player.scene.effects import USUAL
 from player.scene.framing import extent, facing, fitted_camera
 from player.scene.motions import motion_for
@@ -24,6 +24,7 @@ from player.scene.renderer import Renderer
 from player.window.panels import hud_panel
 from player.window.script import GESTURES, steps
 from player.window.window import Window
+from tests.window_script import run
 
 
 def screenshot(avatar_path, path, script, *more, size="160x200"):
@@ -59,12 +60,8 @@ def test_keys_play_pause_step_scrub_and_reset(shot):
 
 
 @pytest.mark.usefixtures("osmesa")
-def test_a_range_loops_and_speed_changes(shot, capsys):
-    # frames 60 to 62 at the script's 30 a second: after any multiple of 3 frames the same one
-    held = shot("space scrub:2 a . . b scrub:2 space wait wait")
-    assert np.array_equal(held, shot("space scrub:2 a . . b scrub:2 space " + "wait " * 8))
+def test_speed_changes(shot):
     assert np.array_equal(shot("space home ] space wait space"), shot("space home . . . ."))
-    assert np.array_equal(shot("space scrub:2 a . . b x end"), shot("space end"))
 
 
 @pytest.mark.usefixtures("osmesa")
@@ -119,15 +116,11 @@ def test_a_click_picks_and_its_joint_is_named(avatar_path, tmp_path, monkeypatch
 
 
 @pytest.mark.usefixtures("osmesa")
-def test_cameras_change_walk_and_turn(shot):
+def test_cameras_change_and_turn(shot):
     home = shot("space home")
-    assert np.array_equal(shot("space home c"), home)  # first person starts where one looked from
-    assert not np.array_equal(shot("space home c w w w"), home)
-    assert np.array_equal(shot("space home c w s d a e q"), home)
-    assert not np.array_equal(shot("space home c down:w wait wait up:w"), shot("space home c w"))
-    turned = shot("space home c c wait wait wait")
+    turned = shot("space home c wait wait wait")
     assert not np.array_equal(turned, home)
-    assert np.array_equal(shot("space home c c wait wait wait c r"), home)
+    assert np.array_equal(shot("space home c wait wait wait c r"), home)
 
 
 @pytest.mark.usefixtures("osmesa")
@@ -144,23 +137,11 @@ def test_camera_keys_are_recorded_saved_and_looked_along(shot, tmp_path, avatar_
 
 
 @pytest.mark.usefixtures("osmesa")
-def test_screenshots_and_films_hold_the_picture_without_the_text(shot, tmp_path, capsys):
-    import av
-
+def test_screenshots_hold_the_picture_without_the_text(shot, tmp_path):
     shown = shot("space scrub:1 s wait s wait")
     taken = pixels(tmp_path / "selfscan-000.png")
     assert np.array_equal(taken[:170], shown) and np.array_equal(taken, pixels(tmp_path / "selfscan-001.png"))
     assert (taken[170:] == taken[0, 0]).mean() > 0.5 and taken.shape == (200, 160, 3)
-    shot("space home space o wait wait wait o")
-    with av.open(str(tmp_path / "selfscan-000.mp4")) as film:
-        frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
-    assert len(frames) == 4 and frames[0].shape == (200, 160, 3)
-    # colours are stored at half the size: brightness tells
-    assert np.abs(frames[0][:170].mean(-1) - shot("space home").mean(-1)).mean() < 2.5
-    shot("space o wait size:100:80 wait wait")  # another size ends it
-    assert "another size" in capsys.readouterr().out and (tmp_path / "selfscan-001.mp4").exists()
-    shot("space o wait")  # closing writes it
-    assert (tmp_path / "selfscan-002.mp4").exists()
 
 
 @pytest.mark.usefixtures("osmesa")
@@ -208,10 +189,10 @@ def test_letters_are_smooth_and_twice_as_high_on_a_dense_screen(avatar_path, tmp
 def test_the_list_of_keys_is_shown_in_windows_of_every_size(avatar_path, tmp_path, size):
     image = screenshot(avatar_path, tmp_path / "a.png", "space h wait wait", size=size)
     keys = (np.abs(image - [255, 204, 51]).max(-1) < 60).nonzero()
-    assert len(keys[0]) > 50 and np.ptp(keys[0]) > 0.4 * image.shape[0]
+    assert len(keys[0]) > 50 and np.ptp(keys[0]) > 0.35 * image.shape[0]
 
 
-def test_an_unknown_word_in_a_script_is_refused(avatar_path):
+def test_a_script_has_known_words_and_the_docs_name_all(avatar_path):
     with pytest.raises(AssetError, match="'fly' is no key"):
         play_main([avatar_path, "--platform", "null", "--script", "space fly"])
     words = ["turn:1:-2", "near:-1", "size:3:4", "wait", "q", "click:3:4", "drag:1:2:3:4", "scrub:1.5", "type:a_b"]
@@ -219,16 +200,16 @@ def test_an_unknown_word_in_a_script_is_refused(avatar_path):
     for wrong in ("turn:x:1", "click:1", "scrub:", "drag:1:2:3", "type:", "down:fly", "press:"):
         with pytest.raises(ValueError, match="is no key"):
             steps([wrong])
+    words = (Path(__file__).parents[2] / "docs" / "play.md").read_text("utf-8").split("## Scripts")[1]
+    for word in (*GESTURES, "wait", "pose", "press", "type", "down", "up"):
+        assert re.search(rf"`(?:[^`]*, )?{word}[:`]", words), word
 
 
-def test_without_a_display_one_line_says_so(avatar_path, monkeypatch):
+def test_without_a_display_or_imgui_bundle_one_line_says_what_to_do(avatar_path, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(AssetError, match=r"no window: .*selfscan render"):
         play_main([avatar_path])
-
-
-def test_without_imgui_bundle_one_line_says_what_to_install(avatar_path):
     code = (
         "import sys; sys.modules['imgui_bundle'] = None\n"
         "from selfscan.__main__ import main\nsys.exit(main(sys.argv[1:]))"
@@ -238,7 +219,7 @@ def test_without_imgui_bundle_one_line_says_what_to_install(avatar_path):
     assert "selfscan play needs the package 'imgui-bundle'" in done.stderr and ".[gui]" in done.stderr
 
 
-def test_the_orbit_never_passes_a_pole_and_stays_finite():
+def test_orbit_and_turntable_stay_finite_and_choose_what_is_there():
     orbit = Orbit(np.zeros(3), 2.0, 0.0)
     orbit.turn(1e6, 1e6)
     orbit.approach(1e4)
@@ -246,35 +227,44 @@ def test_the_orbit_never_passes_a_pole_and_stays_finite():
     orbit.approach(-1e4)
     orbit.shift(10.0, 10.0, 100)
     assert np.isfinite(orbit.target).all()
-
-
-def test_first_person_goes_where_it_looks():
-    walk = Walk(np.zeros(3), 0.0, 0.0)
-    right = walk.camera((10, 10)).camera_from_world[0, :3]
-    walk.go(1.0, 0.0, 0.0)
-    assert np.allclose(walk.eye, right, atol=1e-12)
-    walk.turn(100.0, 0.0)  # the world follows the pointer to the right: one looks to the left
-    left = walk.camera((10, 10)).camera_from_world[2, :3]
-    assert left @ right < -0.3
-    walk.go(0.0, 2.0, 3.0)
-    assert np.allclose(walk.eye, right + [0, 2, 0] + 3 * left, atol=1e-12)
-    walk.turn(0.0, 1e9)
-    walk.go(1e9, 1e9, 1e9)
-    assert np.isfinite(walk.camera((10, 10)).camera_from_world).all()
-
-
-def test_a_turntable_turns_once_in_its_time_and_only_what_is_there_can_be_chosen():
     cameras = Cameras(Orbit(np.zeros(3), 2.0, 0.3), kind="turntable")
     before = cameras.camera((10, 10), 0.0, 0).camera_from_world
     for _ in range(120):
         cameras.advance(0.1)
     assert np.allclose(cameras.camera((10, 10), 0.0, 0).camera_from_world, before, atol=1e-9)
-    assert cameras.kinds == ["orbit", "walk", "turntable"]
+    assert cameras.kinds == ["orbit", "turntable"]
     with pytest.raises(ValueError, match="camera should be one of"):
         Cameras(cameras.orbit, kind="path")
 
 
-def test_docs_name_every_word_of_scripts():
-    words = (Path(__file__).parents[2] / "docs" / "play.md").read_text("utf-8").split("## Scripts")[1]
-    for word in (*GESTURES, "wait", "pose", "press", "type", "down", "up"):
-        assert re.search(rf"`(?:[^`]*, )?{word}[:`]", words), word
+def test_a_replaced_file_is_shown_where_the_old_one_stood_and_a_broken_one_is_named(
+    open_window, avatar, tmp_path, capsys
+):
+    file = tmp_path / "me.glb"
+    write_avatar(file, avatar)
+    window = open_window(str(file), "--follow", "--no-gui", script="space home wait")
+    parts = window.parts
+
+    def shown(words="wait"):
+        left, top, width, height = parts.state.layout.area
+        return run(window, words)[top + height // 2 : top + height - 60, left : left + width]  # no text
+
+    before = shown("right right wait")
+    camera, frame = parts.state.last.camera, parts.state.timeline.frame
+    parts.state.playback.tracks[1].at = np.array([0.3, 0, -0.4])
+    moved = shown()
+    assert (moved != before).any()
+
+    levels = tuple(replace(level, base_color=255 - level.base_color) for level in avatar.levels)
+    write_avatar(file, replace(avatar, levels=levels))
+    other = shown()
+    assert "a new one is shown" in capsys.readouterr().out
+    assert (other != moved).any(-1).mean() > 0.005
+    assert (parts.state.playback.tracks[1].at == [0.3, 0, -0.4]).all() and parts.state.timeline.frame == frame
+    assert np.array_equal(parts.state.last.camera.camera_from_world, camera.camera_from_world)
+    assert np.array_equal(shown(), other)
+
+    file.write_bytes(b"nothing")
+    assert np.array_equal(shown(), other) and "me.glb" in capsys.readouterr().out
+    file.unlink()
+    assert np.array_equal(shown(), other)

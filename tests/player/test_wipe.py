@@ -155,13 +155,22 @@ def test_the_line_is_dragged_and_the_camera_is_the_film_s(window):
     assert window.parts.viewpoint.cameras.kind == "orbit" and not (np.abs(moved - [0, 255, 0]).max(-1) < 3).any()
 
 
-def test_a_head_s_camera_stands_before_the_t_pose(avatar, capture):
+def test_the_head_stands_before_the_t_pose_and_no_picture_is_named_when_shown(avatar, capture, copy):
     path, world = capture
     view = open_capture(path, "head")
     assert np.allclose(view.cameras[0].camera_from_world, world.camera_from_world, atol=1e-6)
     pose, root = view.poses.axis_angle[0], view.poses.root[0]
     head = joint_transforms(pose, avatar.joint_positions.astype(float), root)[15, :3, 3]
     assert np.allclose(project(view.cameras[0], head[None])[0], project(world, head[None])[0], atol=1e-3)
+    (copy / "body/images/000000.png").write_bytes(b"nothing")
+    Image.new("RGB", (5, 5)).save(copy / "body/images/000001.png")
+    view = open_capture(copy)
+    with pytest.raises(AssetError, match=r"000000.png: expected a picture"):
+        view.image(0)
+    with pytest.raises(AssetError, match="should be 96x128 as its camera, is 5x5"):
+        view.image(1)
+    with pytest.raises(ValueError, match="part should be one of"):
+        open_capture(copy, "foot")
 
 
 @pytest.fixture
@@ -189,18 +198,6 @@ def test_captures_that_do_not_agree_are_refused(copy, spoil, message):
     spoil(copy)
     with pytest.raises(AssetError, match=message):
         open_capture(copy)
-
-
-def test_pictures_that_are_none_are_named_when_they_are_shown(copy):
-    (copy / "body/images/000000.png").write_bytes(b"nothing")
-    Image.new("RGB", (5, 5)).save(copy / "body/images/000001.png")
-    view = open_capture(copy)
-    with pytest.raises(AssetError, match=r"000000.png: expected a picture"):
-        view.image(0)
-    with pytest.raises(AssetError, match="should be 96x128 as its camera, is 5x5"):
-        view.image(1)
-    with pytest.raises(ValueError, match="part should be one of"):
-        open_capture(copy, "foot")
 
 
 def test_lens_distortion_is_undone_as_the_camera_says(context):

@@ -1,14 +1,28 @@
-"""The command line as a person meets it: bad input is one line and exit code 1, wrong usage 2, never a traceback."""
+"""The command line as a person meets it, also where the machine fails, and the commands of `selfscan make`."""
 
 import os
+import re
+import signal
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from memory_use import mounted
+from recorded_commands import recorded_commands
+from tiny_avatar import tiny_avatar
 
+import selfscan.__main__ as entry
+from avatar.gltf.avatar_file import write_avatar
 from avatar.gltf.write import GltfBuilder
+from command.errors import AssetError
+from command.interrupt import Stopped, deferred_stop
+from files.whole import whole_file
+from selfscan import make
 from selfscan.__main__ import COMMANDS, main
 
 ROOT = Path(__file__).parents[2]
@@ -32,9 +46,23 @@ def refused(capsys, *argv: object, names: tuple[str, ...]) -> None:
         assert name in lines[0], f"{name!r} not in: {lines[0]}"
 
 
-def test_no_command_prints_usage_and_returns_2(capsys):
+def test_usage_a_missing_package_and_absent_files_are_named(capsys, monkeypatch, tmp_path):
     assert main([]) == 2
     assert "selfscan COMMAND" in capsys.readouterr().out
+    import importlib.metadata
+
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"selfscan {importlib.metadata.version('selfscan')}\n"
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    refused(capsys, "inspect", "me.glb", "-o", tmp_path / "out", names=("pyvista", "pip install -e '.[inspect]'"))
+    absent = tmp_path / "absent.glb"
+    refused(capsys, "render", absent, "--motion", "counting", "-o", tmp_path / "a.png", names=("absent.glb",))
+    refused(capsys, "synth", absent, tmp_path / "cap", names=("absent.glb",))
+    refused(capsys, "train", tmp_path / "cap", "-o", tmp_path / "run", names=("cap",))
+    refused(capsys, "bake", tmp_path / "run", "-o", tmp_path / "a.glb", names=("run",))
+    refused(capsys, "eval", tmp_path / "run", tmp_path / "cap", names=("run",))
+    refused(capsys, "bench", absent, "-o", tmp_path / "bench", names=("absent.glb",))
+    assert list(tmp_path.iterdir()) == []
 
 
 WRONG = [
@@ -46,7 +74,6 @@ WRONG = [
     ("import", "expected video, totalselfscan or easymocap, found nothing"),
     ("import kinect a b", "expected video, totalselfscan or easymocap, found kinect"),
     ("import easymocap a b", "are required: --body, --head, --landmarks, --masks"),
-    ("import totalselfscan a b --select foot=1:2:3", "--select: expected PART=START:STEP:COUNT with PART of body,"),
     ("inspect a.glb -o out --joint left_ellbow", "no joint is named 'left_ellbow'"),
 ]
 
@@ -56,22 +83,6 @@ def test_wrong_usage_is_one_line_and_makes_nothing(capsys, monkeypatch, tmp_path
     monkeypatch.chdir(tmp_path)
     code, err = run(capsys, *line.split())
     assert code == 2 and said in err and err.count("\n") == 1 and not list(tmp_path.iterdir())
-
-
-def test_a_missing_package_is_named_with_the_command_that_installs_it(capsys, monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "pyvista", None)
-    refused(capsys, "inspect", "me.glb", "-o", tmp_path / "out", names=("pyvista", "pip install -e '.[inspect]'"))
-
-
-def test_absent_files_are_named(capsys, tmp_path):
-    absent = tmp_path / "absent.glb"
-    refused(capsys, "render", absent, "--motion", "counting", "-o", tmp_path / "a.png", names=("absent.glb",))
-    refused(capsys, "synth", absent, tmp_path / "cap", names=("absent.glb",))
-    refused(capsys, "train", tmp_path / "cap", "-o", tmp_path / "run", names=("cap",))
-    refused(capsys, "bake", tmp_path / "run", "-o", tmp_path / "a.glb", names=("run",))
-    refused(capsys, "eval", tmp_path / "run", tmp_path / "cap", names=("run",))
-    refused(capsys, "bench", absent, "-o", tmp_path / "bench", names=("absent.glb",))
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_who_asks_for_a_person_that_is_no_avatar_yet_learns_how_to_make_one(capsys, tmp_path):
@@ -113,13 +124,6 @@ def test_help_teaches_and_help_and_wrong_usage_import_nothing_heavy(words):
     assert len(done.stdout) > 200
 
 
-def test_the_version_is_said(capsys):
-    import importlib.metadata
-
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"selfscan {importlib.metadata.version('selfscan')}\n"
-
-
 def test_drawing_gives_freed_memory_back_and_other_commands_leave_the_allocator_alone(monkeypatch, capsys):
     asked = []
     monkeypatch.setattr("player.gl.memory.give_back_freed_memory", lambda: asked.append(True))
@@ -138,3 +142,252 @@ def test_threads_of_training_sleep_while_they_wait():
     if "OMP_WAIT_POLICY" not in done.stderr:
         pytest.skip("this torch has another OpenMP, which does not print its settings")
     assert "OMP_WAIT_POLICY = 'PASSIVE'" in done.stderr
+
+
+FILMS = ("body.mp4", "head.mp4", "left.mp4", "right.mp4")
+
+
+@pytest.fixture
+def films(tmp_path):
+    folder = tmp_path / "me"
+    folder.mkdir()
+    for name in FILMS:
+        (folder / name).write_text(name)
+    return folder
+
+
+STOPPED = 130
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """Stands for the commands: each writes its product."""
+    return recorded_commands(monkeypatch, make, product)
+
+
+def product(words):
+    out = Path(words[words.index("-o") + 1])
+    if words[1] == "bake":
+        out.write_text(" ".join(words))
+        return
+    out.mkdir()
+    (out / ("run.json" if words[1] == "train" else "capture.json")).write_text("{}")
+
+
+def test_a_first_avatar_stands_where_the_better_one_will(films, ran, tmp_path, capsys):
+    out = tmp_path / "me.glb"
+    assert make.main([str(films), "-o", str(out), "--stature", "1.78", "--sex", "female"]) == 0
+    kinds = [words[1] for words in ran]
+    assert kinds == ["import", "train", "bake", "bake"]
+    read, first, early, last = ran
+    assert read[read.index("--stature") + 1] == "1.78" and read[read.index("--sex") + 1] == "female"
+    assert "--frames" not in read
+    assert first[first.index("--preset") + 1] == "preview"
+    assert "--texture" in early and "--texture" not in last
+    assert out.read_text() == " ".join(last)
+    assert capsys.readouterr().out.count(f"{out}: ready after") == 2
+
+
+def test_films_that_are_not_there_are_refused_before_anything_is_made(tmp_path):
+    with pytest.raises(AssetError, match=r"nowhere\.mp4: expected a film"):
+        make.main([str(tmp_path / "nowhere.mp4"), "-o", str(tmp_path / "me.glb")])
+    assert not list(tmp_path.iterdir())
+
+
+def test_four_minutes_end_with_the_first_avatar_and_more_go_on_from_there(films, ran, tmp_path):
+    out = tmp_path / "me.glb"
+    make.main([str(films), "-o", str(out), "--minutes", "4"])
+    assert [words[1] for words in ran] == ["import", "train", "bake"]
+    make.main([str(films), "-o", str(out)])
+    assert [words[1] for words in ran[3:]] == ["bake"]
+
+
+@pytest.mark.parametrize(("minutes", "fields", "taken"), [("15", 9.7, True), ("60", 9.9, False)])
+def test_fields_take_the_place_where_they_show_the_films_better(
+    films, ran, tmp_path, monkeypatch, capsys, minutes, fields, taken
+):
+    monkeypatch.setattr(make, "off_the_films", lambda avatar: fields if "fields" in avatar.name else 10.0)
+    out = tmp_path / "me.glb"
+    make.main([str(films), "-o", str(out), "--minutes", minutes])
+    assert [words[1] for words in ran[4:]] == ["train", "bake"] and ("--iterations" in ran[4]) == (minutes == "15")
+    shown = f"fields_{minutes}" if taken else "better"
+    for _ in range(2):
+        assert f"{shown}.glb" in out.read_text()
+        said = capsys.readouterr().out
+        assert (f"the template stays: the fields show the films no better ({fields:.2f}" in said) != taken
+        out.unlink()
+        make.main([str(films), "-o", str(out), "--minutes", minutes])
+
+
+def test_what_was_stopped_goes_on_where_it_was(films, monkeypatch, tmp_path):
+    out = tmp_path / "me.glb"
+    recorded_commands(monkeypatch, make, lambda words: STOPPED if words[1] == "bake" else product(words))
+    with pytest.raises(Stopped):
+        make.main([str(films), "-o", str(out)])
+    assert not out.exists()
+    ran = recorded_commands(monkeypatch, make, product)
+    make.main([str(films), "-o", str(out)])
+    assert [words[1] for words in ran] == ["bake", "bake"]
+
+
+def test_an_avatar_that_was_moved_away_is_put_there_again_and_other_films_are_not_mixed_in(films, ran, tmp_path):
+    out = tmp_path / "me.glb"
+    make.main([str(films), "-o", str(out)])
+    made = out.read_text()
+    out.unlink()
+    make.main([str(films), "-o", str(out)])
+    assert out.read_text() == made and len(ran) == 4
+    make.main([str(films), "-o", str(out), "--minutes", "4"])
+    (films / "body.mp4").write_text("another film")
+    with pytest.raises(AssetError, match=r"me\.making: holds the work on other films or options"):
+        make.main([str(films), "-o", str(out), "--minutes", "4"])
+
+
+SELFSCAN = f"{sys.executable} -m selfscan"
+
+
+def shell(line: str, **environment: str) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        ["bash", "-c", line], cwd=ROOT, capture_output=True, text=True, env={**os.environ, **environment}
+    )
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    """A command that films five seconds of a small avatar, but for -o."""
+    path = tmp_path_factory.mktemp("avatar") / "tiny.glb"
+    write_avatar(path, tiny_avatar())
+    return f"{SELFSCAN} render {path} --motion walking --frames 0:40 --size 48x48"
+
+
+def test_names_that_are_no_text_and_readers_that_go_are_no_error(film, tmp_path):
+    done = shell(f"{film} --frames 0:1 -o {tmp_path}/$'\\xff.mp4'", PYTHONIOENCODING="utf-8:strict")
+    assert done.returncode == 0, done.stderr
+    assert "\\udcff.mp4: 1 frame" in done.stdout
+    done = shell(f"set -o pipefail; {SELFSCAN} --help | true")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("asked", ["--help", "render --help", "--version"])
+def test_output_that_cannot_be_printed_is_one_line(asked):
+    done = shell(f"{SELFSCAN} {asked} > /dev/full")
+    assert done.returncode == 1
+    assert done.stderr == "selfscan: what was printed is lost: No space left on device\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("streams", [">&-", "2>&-", "<&- >&- 2>&-", "> >(true)", "2> >(true)", "2> /dev/full"])
+def test_a_film_is_written_whatever_becomes_of_what_is_printed(film, tmp_path, streams):
+    out = tmp_path / "film.mp4"
+    done = shell(f"{film} -o {out} {streams}")
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    expected = tmp_path / "expected.mp4"
+    assert shell(f"{film} -o {expected}").returncode == 0
+    assert out.read_bytes() == expected.read_bytes()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
+def test_a_full_disk_is_one_line_for_every_command_that_writes(film, tmp_path, capsys):
+    disk, avatar = tmp_path / "disk", film.split()[4]
+    with mounted(disk, "64k"):
+        with suppress(OSError), open(disk / "filler", "wb", buffering=0) as file:
+            while file.write(bytes(1 << 12)):
+                pass
+        motion = [avatar, "--motion", "counting", "--frames", "0:9"]
+        for arguments in (
+            ["export", *motion, "-o", f"{disk}/a.glb"], ["export", *motion, "-o", f"{disk}/a.npz"],
+            ["export", *motion, "-o", f"{disk}/a.bvh"], ["render", *motion, "-o", f"{disk}/a.mp4"],
+            ["render", *motion, "-o", f"{disk}/frames"],
+            ["render", *motion, "-o", f"{disk}/a.gif"],
+        ):  # fmt: skip
+            assert main(arguments) == 1
+            said = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("frames")]
+            assert len(said) == 1 and f"selfscan {arguments[0]}: {arguments[-1]}" in said[0], said
+            assert "cannot be written" in said[0] and "No space left" in said[0]
+            assert [path.name for path in disk.iterdir()] == ["filler"]
+        with (
+            pytest.raises(AssetError, match=r"a\.ckpt: cannot be written: No space left"),
+            whole_file(disk / "a.ckpt") as file,
+        ):
+            torch.save({"weights": torch.zeros(1 << 20)}, file)
+
+
+def test_the_disk_and_the_memory_are_one_line(monkeypatch, capsys):
+    for error, line in (
+        (OSError(28, "No space left on device"), "selfscan render: No space left on device\n"),
+        (PermissionError(13, "Permission denied", "a.glb"), "selfscan render: a.glb: Permission denied\n"),
+        (MemoryError("Unable to allocate 9 GiB"), "selfscan render: not enough memory Unable to allocate 9 GiB\n"),
+    ):
+        monkeypatch.setattr(entry, "_dispatch", lambda _name, _rest, error=error: (_ for _ in ()).throw(error))
+        assert main(["render"]) == 1
+        assert capsys.readouterr().err == line
+
+
+def test_an_error_of_ours_asks_for_a_report_and_says_where_it_is(monkeypatch, capsys, tmp_path):
+    def breaks(_name, _rest):
+        raise IndexError("index 5 is out of bounds\nand more")
+
+    monkeypatch.setattr(entry, "_dispatch", breaks)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert main(["render", "a.glb"]) == 1
+    found = re.fullmatch(
+        r"selfscan render: an error that should not happen, IndexError: index 5 is out of bounds; please report it "
+        r"with (\S+\.txt)\n",
+        capsys.readouterr().err,
+    )
+    assert found
+    report = Path(found[1]).read_text()
+    assert "breaks" in report and "['render', 'a.glb']" in report and "Python 3" in report
+    assert main(["--debug", "render"]) == 1
+    assert "Traceback" in capsys.readouterr().err and len(list(tmp_path.iterdir())) == 1
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
+    assert main(["render"]) == 1
+    assert "please report it with what `selfscan --debug ...` shows" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_a_command_with_its_code(monkeypatch, capsys, number, code):
+    before = signal.getsignal(number)
+    monkeypatch.setattr(entry, "_dispatch", lambda _name, _rest: signal.raise_signal(number))
+    assert main(["render"]) == code
+    assert "selfscan render: stopped" in capsys.readouterr().err and signal.getsignal(number) == before
+    assert issubclass(Stopped, KeyboardInterrupt)
+
+
+def test_a_signal_that_was_dropped_is_taken_up_later(monkeypatch, capsys):
+    """ctypes drops an exception that is raised while OpenGL calls back."""
+
+    def dropped(_name, _rest):
+        with suppress(Stopped):
+            signal.raise_signal(signal.SIGTERM)
+        with deferred_stop() as stop:
+            stop.check()
+
+    def broken(_name, _rest):
+        with suppress(Stopped):
+            signal.raise_signal(signal.SIGTERM)
+        raise RuntimeError("half a shader")
+
+    for dispatch in (dropped, broken):
+        monkeypatch.setattr(entry, "_dispatch", dispatch)
+        assert main(["render"]) == 143
+        assert capsys.readouterr().err == "\nselfscan render: stopped\n"
+    with deferred_stop() as stop:
+        assert not stop.asked
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_film_that_is_stopped_leaves_the_old_one_and_nothing_else(film, tmp_path, number, code):
+    out = tmp_path / "film.mp4"
+    out.write_bytes(b"the old film")
+    arguments = [*film.replace("0:40", "0:100").replace("48x48", "1600x1600").split(), "-o", str(out)]
+    process = subprocess.Popen(arguments, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 100
+    while not list(tmp_path.glob(".selfscan-*.tmp")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=100)
+    assert process.returncode == code and "stopped" in said and "Traceback" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"] and out.read_bytes() == b"the old film"

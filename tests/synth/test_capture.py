@@ -52,14 +52,11 @@ def template(capture) -> CaptureSubject:
     return read_template(capture / "subject.npz")
 
 
-def test_the_template_lies_on_the_surface(capture):
+def test_the_template_lies_on_the_surface_and_keeps_the_subjects_own_joints(capture, subject, template):
     registration = json.loads((capture / "capture.json").read_text())["registration"]
     assert registration["surface_cm"] < 0.21  # notes/ceiling.md reached .21, hands .06; measured here .16, .04, .05
     assert registration["hands_cm"] < 0.06
     assert registration["head_cm"] < 0.08
-
-
-def test_the_template_keeps_the_subjects_own_joints(subject, template):
     np.testing.assert_array_equal(template.joints, subject.joints.astype(np.float64))
 
 
@@ -128,7 +125,7 @@ def test_the_same_seed_writes_the_same_bytes(capture, person, tmp_path):
     assert not [name for name in names if (capture / name).read_bytes() != (tmp_path / "second" / name).read_bytes()]
 
 
-def test_pose_noise_is_on_the_written_poses_and_nowhere_else(capture, studio):
+def test_noise_is_on_written_poses_alone_and_held_out_views_were_not_filmed(capture, studio):
     shots = plan_videos(studio, CONFIG.frames, CONFIG.size)["body"]
     with np.load(capture / "body" / "poses.npz") as written:
         noisy = matrix_from_axis_angle(written["poses"].reshape(-1, 52, 3))
@@ -136,6 +133,12 @@ def test_pose_noise_is_on_the_written_poses_and_nowhere_else(capture, studio):
     turn = np.swapaxes(matrix_from_axis_angle(shots.axis_angle), -1, -2) @ noisy
     angle = np.degrees(np.arccos(np.clip((np.trace(turn, axis1=-2, axis2=-1) - 1) / 2, -1, 1)))
     assert abs(np.sqrt((angle**2).mean() / 3) - CONFIG.pose_noise) < 0.1
+    poses = novel_poses(0)
+    assert len(poses) == 20 and len(novel_views(0)) == 10
+    stacked = np.stack([stand.axis_angle[1:] for stand in poses])
+    assert np.abs(stacked).max(axis=(1, 2)).min() > 0.3  # none is the T-pose
+    assert np.ptp(stacked[:, 21:], axis=0).max(1).min() > 0.02  # every finger joint moves
+    np.testing.assert_array_equal(novel_poses(0)[13].axis_angle, poses[13].axis_angle)
 
 
 def test_head_and_hand_pixels_are_two_millimetres_or_less(capture):
@@ -164,15 +167,6 @@ def test_held_out_pictures_read_back(rasteriser, studio, subject, tmp_path):
             assert (parts == 1 + PARTS.index(view.view)).mean() > 0.1
 
 
-def test_held_out_poses_and_views_were_not_filmed():
-    poses = novel_poses(0)
-    assert len(poses) == 20 and len(novel_views(0)) == 10
-    stacked = np.stack([stand.axis_angle[1:] for stand in poses])
-    assert np.abs(stacked).max(axis=(1, 2)).min() > 0.3  # none is the T-pose
-    assert np.ptp(stacked[:, 21:], axis=0).max(1).min() > 0.02  # every finger joint moves
-    np.testing.assert_array_equal(novel_poses(0)[13].axis_angle, poses[13].axis_angle)
-
-
 def textured_quad(vertices, texture, alpha=None):
     """Two triangles that show the whole texture upright, and nothing else of a subject."""
     vertices, faces = np.array(vertices, np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -182,7 +176,7 @@ def textured_quad(vertices, texture, alpha=None):
                         np.zeros((52, 3), np.float32), part, np.zeros(4, bool), "none")  # fmt: skip
 
 
-def test_a_cut_out_quad_keeps_its_opaque_half():
+def test_a_cut_out_quad_keeps_its_opaque_half_and_a_textured_one_is_drawn_texel_by_texel(rasteriser):
     alpha = np.zeros((64, 64), np.uint8)
     alpha[:, 32:] = 255
     corners = [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]
@@ -192,9 +186,6 @@ def test_a_cut_out_quad_keeps_its_opaque_half():
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
     assert abs(area - 0.005) < 0.0001
     assert corners[..., 0].min() > 0.045
-
-
-def test_a_textured_quad_is_drawn_texel_by_texel(rasteriser):
     texture = np.random.default_rng(0).integers(0, 256, (8, 8, 3), dtype=np.uint8)
     quad = textured_quad([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], texture)
     camera = Camera(np.array([[16.0, 0, 4], [0, 16, 4], [0, 0, 1]]), look_at([0, 0, 4], [0, 0, 0]), (8, 8))

@@ -1,16 +1,23 @@
-"""Reading rigged humanoids: the rig is reproduced, names are found, what is missing is named."""
+"""Rigged humanoids are read: the rig is reproduced, what is missing is named; captures that know a shape alone."""
+
+import json
 
 import numpy as np
 import pytest
 import rigs
 
+from avatar.body import builtin_body
+from avatar.camera import project, read_cameras
 from avatar.gltf.document import read_gltf
 from avatar.gltf.humanoid import find_joints, mixamo_names, vrm_names
 from avatar.gltf.scene import node_parents, parent_from_node, parents_first, read_primitive, read_skin, world_from_node
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
+from capture.folder import input_kind, read_capture
 from command.errors import AssetError
+from synth.command import SynthConfig, load_subject, synth
+from synth.cutout import cut_out
 from synth.subject import read_subject
 
 MIXAMO = ["mixamorig:" + mixamo_names()[joint] for joint in JOINTS]
@@ -73,7 +80,7 @@ def test_joints_are_found_by_the_vrm_humanoid_whatever_their_names(tmp_path, ver
     np.testing.assert_allclose(subject.vertices, vertices, rtol=0, atol=1e-6)
 
 
-def test_a_rig_that_rests_in_an_a_pose_is_skinned_to_the_t_pose(tmp_path):
+def test_rigs_in_an_a_pose_are_skinned_to_the_t_pose_and_those_facing_backwards_turned(tmp_path):
     pose = np.zeros((52, 3))
     pose[JOINTS.index("left_shoulder"), 2], pose[JOINTS.index("right_shoulder"), 2] = -0.7, 0.7
     document, _ = rigs.rig(pose=pose)
@@ -82,11 +89,8 @@ def test_a_rig_that_rests_in_an_a_pose_is_skinned_to_the_t_pose(tmp_path):
         arm = [subject.joints[JOINTS.index(f"{side}_{joint}")] for joint in ("shoulder", "elbow", "wrist", "middle1")]
         assert np.ptp([joint[1] for joint in arm]) < 1e-6
     assert any("skinned to a T-pose" in note for note in subject.notes)
-
-
-def test_a_rig_that_faces_backwards_is_turned_and_said(tmp_path):
     document, vertices = rigs.rig(turn=np.diag([-1.0, 1, -1]))
-    subject = read_subject(rigs.write(tmp_path / "a.gltf", document))
+    subject = read_subject(rigs.write(tmp_path / "b.gltf", document))
     np.testing.assert_allclose(subject.vertices, vertices, rtol=0, atol=1e-6)
     assert any("turned to face +z" in note for note in subject.notes)
 
@@ -124,3 +128,68 @@ def test_what_cannot_be_read_is_refused_by_name(tmp_path, spoil, message):
     with pytest.raises(AssetError, match=message) as error:
         read_subject(path)
     assert "spoilt.gltf" in str(error.value)
+
+
+LIMBS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in ("hip", "knee", "shoulder", "wrist")]
+
+
+@pytest.fixture(scope="module")
+def captured(tmp_path_factory):
+    out = tmp_path_factory.mktemp("shape") / "capture"
+    synth("builtin", out, SynthConfig(size=96, frames=4, truth=False, template="shape"))
+    return out
+
+
+def test_the_template_is_a_shape_of_the_free_body_with_its_own_joints_and_no_hair(captured):
+    with np.load(captured / "subject.npz") as data:
+        fields = dict(data)
+    body = builtin_body("male")
+    assert not fields["hair"].any() and "eyes" not in fields
+    np.testing.assert_allclose(fields["joints"][0], 0, atol=1e-7)
+    # linear in ten coefficients, a size and a place: nothing else is left over
+    places = np.tile(np.eye(3), (len(body.vertices), 1, 1))
+    basis = np.concatenate([body.vertices[..., None], body.shape_directions, places], 2)
+    basis = basis.reshape(-1, basis.shape[2])
+    flat = fields["v_template"].astype(np.float64).ravel()
+    left = flat - basis @ np.linalg.lstsq(basis, flat, rcond=None)[0]
+    assert np.abs(left).max() < 1e-5
+    assert input_kind(json.loads((captured / "capture.json").read_text())) == "shape only"
+
+
+@pytest.mark.slow
+def test_its_joints_stand_near_the_persons_in_every_frame(captured):
+    """Poses are of the template's pelvis, which is not the person's."""
+    capture, person = read_capture(captured), cut_out(load_subject("builtin"))
+    off = capture.subject.joints - capture.subject.joints[0] - (person.joints - person.joints[0])
+    assert 0.001 < np.linalg.norm(off[LIMBS], axis=1).mean() < 0.02
+    exact = captured.with_name("exact")
+    synth("builtin", exact, SynthConfig(size=96, frames=4, truth=False))
+    given = read_capture(exact)
+    assert input_kind(given.facts) == "given"
+    for part in ("body", "hand_left"):
+        ours, true = capture.videos[part], given.videos[part]
+        np.testing.assert_array_equal(ours.axis_angle, true.axis_angle)
+        # one offset in the person's own frame
+        turned = np.swapaxes(matrix_from_axis_angle(ours.axis_angle[:, 0]), 1, 2)
+        offset = np.einsum("fij,fj->fi", turned, ours.root - true.root)
+        np.testing.assert_allclose(offset, offset[:1].repeat(len(offset), 0), atol=1e-9)
+        assert 1e-4 < np.linalg.norm(offset[0]) < 0.03
+        # the truth of the frames is the person's, whatever was told
+        for folder in (captured, exact):
+            with np.load(folder / "truth" / part / "video.npz") as filmed:
+                np.testing.assert_allclose(filmed["root"], true.root, atol=1e-12)
+                np.testing.assert_array_equal(filmed["poses"], true.axis_angle)
+                np.testing.assert_array_equal(filmed["camera_from_world"], true.cameras[0].camera_from_world)
+
+
+def test_landmarks_of_the_head_lie_where_the_template_has_them_in_the_pictures(captured):
+    """The head's frame is the person's; points are moved by what lies between both pelvises."""
+    capture = read_capture(captured)
+    video = capture.videos["head"]
+    seen = []
+    for camera, mask in zip(read_cameras(captured / "head" / "cameras.npz"), video.masks, strict=True):
+        pixels, depth = project(camera, video.landmarks)
+        assert (depth > 0).all()
+        x, y = np.clip(pixels.round().astype(int), 0, 95).T
+        seen.append(mask[y, x].mean())
+    assert np.mean(seen) > 0.9

@@ -1,16 +1,27 @@
-"""Eq. 9's weights, skin look-ups, template grids, encodings."""
+"""Eq. 9's weights, skin look-ups, template grids, encodings; the preset that learns nothing, as the videos show it."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from scipy.spatial import KDTree
+from tiny import tiny, tiny_training
 
+from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights, blended_rotations
+from capture.folder import read_capture
+from capture.light.seen_colors import seen_colors
 from capture.template.parts import Box, Part
 from capture.template.surface import SurfaceCloud
 from geometry.harmonic import fill_reached
+from train.command import TrainOptions
 from train.deform import canonical_directions, inverse_transforms
 from train.fused import part_weight
+from train.networks import ColorInputs
+from train.networks.seen import SeenNetworks
+from train.preset import PREVIEW
+from train.run import read_run
 from train.skin import harmonic_fill
 from train.template_grid import TemplateGrid, template_grid
 
@@ -18,14 +29,11 @@ BOX = Box(np.array([0.5, -0.3, -0.3]), np.array([1.5, 0.3, 0.3]))
 HAND = Part("hand_left", BOX, BOX, 0.1)
 
 
-def test_eq9_weight_rises_linearly_over_the_overlap():
+def test_eq9_weight_rises_linearly_over_the_overlap_and_is_continuous_everywhere():
     x = torch.tensor([0.4, 0.5, 0.525, 0.55, 0.6, 0.9])
     points = torch.stack([x, torch.zeros(6), torch.zeros(6)], 1)
     expected = torch.tensor([0, 0, 0.25, 0.5, 1.0, 1.0])
     torch.testing.assert_close(part_weight(points, HAND), expected, rtol=0, atol=1e-6)
-
-
-def test_eq9_weight_is_continuous_everywhere():
     points = torch.rand(20000, 3, generator=torch.Generator().manual_seed(0)) * 2 - 0.5
     step = 1e-3 * torch.randn(20000, 3, generator=torch.Generator().manual_seed(1)).clamp(-1, 1)
     jump = (part_weight(points + step, HAND) - part_weight(points, HAND)).abs()
@@ -40,13 +48,17 @@ def _sphere_cloud() -> SurfaceCloud:
     return SurfaceCloud(0.1 * d, d, skin, np.zeros(len(d), int), KDTree(0.1 * d), 0.003, gap, area)
 
 
-def test_template_grid_of_a_sphere_is_its_distance():
+def test_a_grid_of_a_sphere_is_its_distance_and_unseen_vertices_take_their_neighbours_color(tiny_capture):
     grid = template_grid(_sphere_cloud(), np.full(3, -0.15), np.full(3, 0.15), 0.005)
     points = 0.14 * (torch.rand(5000, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1)
     near = (points.norm(dim=1) - 0.1).abs() < 0.015
     exact = points.norm(dim=1) - 0.1
     assert (grid(points) - exact)[near].abs().max() < 5e-4
     assert (torch.sign(grid(points)) == torch.sign(exact))[exact.abs() > 1e-3].all()
+    capture = read_capture(tiny_capture)
+    for video in capture.videos.values():
+        video.masks[:] = False
+    assert (seen_colors(capture, {}) == 0.5).all()
 
 
 def test_template_gradient_is_the_derivative_of_its_own_values():
@@ -96,7 +108,7 @@ def test_inverse_transforms_invert_and_flag_what_has_no_inverse():
     np.testing.assert_allclose(rows[1], np.linalg.inv(M)[:3], atol=1e-6)
 
 
-def test_harmonic_fill_of_a_strip_is_linear():
+def test_harmonic_fill_of_a_strip_is_linear_and_reaches_everything_connected():
     count = 11
     faces = np.array([[i, i + 1, i + 1] for i in range(count - 1)])
     joints = np.tile([3, 7, 0, 0], (count, 1))
@@ -107,9 +119,6 @@ def test_harmonic_fill_of_a_strip_is_linear():
     filled = harmonic_fill(SkinWeights(joints, weights), known, faces)
     share = np.where(filled.joints == 7, filled.weights, 0).sum(1)
     np.testing.assert_allclose(share, np.linspace(0, 1, count), atol=1e-6)
-
-
-def test_fill_reaches_everything_connected():
     faces = np.array([[0, 1, 2], [1, 2, 3], [4, 5, 6]])
     values = fill_reached(np.eye(7)[:, :1] * 5, np.arange(7) == 0, faces)
     np.testing.assert_allclose(values[:, 0], [5, 5, 5, 5, 0, 0, 0], atol=1e-12)
@@ -119,3 +128,60 @@ def test_fill_reaches_everything_connected():
 def test_lookups_of_nothing_are_nothing(count):
     grid = TemplateGrid(torch.zeros(3, 3, 3), torch.zeros(3), 0.1)
     assert grid(torch.zeros(count, 3)).shape == (count,)
+
+
+SMALL = tiny(PREVIEW, networks=PREVIEW.parts[0].networks, iterations=0, light=False)
+
+
+@pytest.fixture(scope="module")
+def painted(tiny_capture, tmp_path_factory):
+    return read_run(tiny_training(tiny_capture, tmp_path_factory.mktemp("painted") / "run", preset=SMALL))
+
+
+@pytest.mark.slow
+def test_a_preview_is_a_run_like_any_other_whose_surface_is_the_template(painted, tiny_capture):
+    subject = read_capture(tiny_capture, parts=()).subject
+    assert painted.preset.name == "preview" and set(painted.provenance["parts"]) == set(painted.preset.names)
+    assert all(part["steps"] == 0 for part in painted.provenance["parts"].values())
+    body = subject.vertices[subject.part == 0]
+    distance = painted.field.distance(torch.as_tensor(body, dtype=torch.float32))
+    assert distance.abs().median() < 0.002
+
+
+@pytest.mark.slow
+def test_a_preview_shows_the_colors_of_the_videos(painted, tiny_capture):
+    capture = read_capture(tiny_capture)
+    colors = seen_colors(capture, {})
+    assert np.isfinite(colors).all() and colors.min() >= 0 and colors.max() <= 1
+    body = capture.subject.part == 0
+    points = torch.as_tensor(capture.subject.vertices[body], dtype=torch.float32)
+    shown = painted.field.color(points, torch.zeros_like(points) + torch.tensor([0.0, 0.0, -1.0]))
+    video = capture.videos["body"]
+    filmed = np.concatenate([image[mask] for image, mask in zip(video.images, video.masks)]) / 255
+    assert np.abs(shown.mean(0).numpy() - filmed.mean(0)).max() < 0.1
+    assert np.abs(shown.numpy() - colors[body]).mean() < 0.03
+
+
+def test_of_people_fitted_here_the_heads_video_paints_nothing_under_the_chin(tiny_capture):
+    made = read_capture(tiny_capture)
+    made.videos["head"].images[:] = [0, 204, 0]
+    here = replace(made, facts={**made.facts, "source": "video"})
+    subject, chin = made.subject, made.chin
+    low = (subject.part == PARTS.index("head")) & (subject.vertices[:, 1] < chin - 0.005)
+    green = np.linalg.norm(seen_colors(made, {}) - [0, 0.8, 0], axis=1) < 0.02
+    painted = np.linalg.norm(seen_colors(here, {}) - [0, 0.8, 0], axis=1) < 0.02
+    # what neither video shows is filled from its neighbours
+    assert (low & green).sum() > 100 and (low & painted).sum() < 0.3 * (low & green).sum()
+    high = subject.vertices[:, 1] > chin + 0.02
+    assert (painted & high).sum() > 0.9 * (green & high).sum() > 500
+
+
+def test_a_color_grid_is_linear_between_its_nodes_and_a_preset_that_learns_nothing_takes_no_steps(tmp_path):
+    color = SeenNetworks(cell=0.5).build(3, torch.tensor([1.0, 0.5, 0.5]), 0.01).color
+    places = color.places()
+    color.values.copy_(places.T.reshape(color.values.shape))
+    points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    nothing = torch.zeros(50, 1)
+    torch.testing.assert_close(color(ColorInputs(points, nothing, points, points, nothing)), points, rtol=0, atol=1e-6)
+    with pytest.raises(ValueError, match="--iterations: the preset preview learns nothing"):
+        TrainOptions(capture=tmp_path, out=tmp_path / "run", preset="preview", iterations=10)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from painted_capture import free_subject
-from painted_eyes import FORWARD, filmed
+from painted_capture import FORWARD, filmed, free_subject
 from scipy.spatial import KDTree
 
 from avatar.camera import Camera
@@ -65,7 +64,7 @@ def first_crossing(eyes, points, direction, far=0.03):
     return steps[(along <= 0).argmax(1)]
 
 
-def test_what_is_seen_between_the_lids_is_the_eyeball(subject, eyes, spheres):
+def test_the_eyeball_is_seen_between_the_lids_and_an_iris_where_it_was_found(subject, eyes, spheres, closed):
     points = eye_openings(subject)
     # straight in front of the balls' middles
     middle = points[np.abs(points[:, None, :2] - spheres.centres[:, :2]).max(2).min(1) < 0.002]
@@ -73,9 +72,6 @@ def test_what_is_seen_between_the_lids_is_the_eyeball(subject, eyes, spheres):
     off = np.abs(first_crossing(eyes, middle, FORWARD))
     # beside a lid's edge the lid may be met first
     assert np.quantile(off, 0.8) < 0.0003 and off.max() < 0.002
-
-
-def test_an_iris_is_seen_where_it_was_found(subject, closed, spheres):
     angle = np.radians(25)
     flat = open_eyes(subject, closed, FlatIris(FORWARD, float(angle)))
     depth = -first_crossing(flat, spheres.centres + spheres.radii[:, None] * FORWARD, FORWARD)
@@ -170,7 +166,7 @@ def test_the_field_has_no_step_at_the_box(eyes, closed):
             assert (outside - inside).abs().max() < 2e-5
 
 
-def test_details_lie_round_each_opening(subject, eyes):
+def test_details_lie_round_each_opening_and_values_agree_with_gradients_round_the_eyes(subject, eyes, fused):
     opening = eye_openings(subject)
     boxes = sorted(eyes.details(), key=lambda box: -box.low[0])  # left first
     assert len(boxes) == 2
@@ -178,6 +174,13 @@ def test_details_lie_round_each_opening(subject, eyes):
         own = opening[side * opening[:, 0] > 0]
         assert (own > box.low).all() and (own < box.high).all()
         assert (box.high - box.low).max() < 0.05
+    opening = torch.as_tensor(eye_openings(subject)[::7], dtype=torch.float32)
+    points = opening + 0.006 * torch.randn(len(opening), 3, generator=torch.Generator().manual_seed(1))
+    sample, gradient = fused.part_gradient(1, points)
+    torch.testing.assert_close(sample.distance, fused.part_distance(1, points), rtol=0, atol=2e-6)
+    at = points.clone().requires_grad_()
+    (expected,) = torch.autograd.grad(fused.part_distance(1, at).sum(), at)
+    assert (gradient - expected).abs().quantile(0.95) < 2e-2  # beside a plane of nodes either side's is right
 
 
 @pytest.fixture(scope="module")
@@ -215,17 +218,7 @@ def test_the_fused_field_shows_the_eyes_where_the_template_has_them(subject, fus
         fused.eyes = shown
 
 
-def test_value_and_gradient_of_the_fused_field_agree_round_the_eyes(subject, fused):
-    opening = torch.as_tensor(eye_openings(subject)[::7], dtype=torch.float32)
-    points = opening + 0.006 * torch.randn(len(opening), 3, generator=torch.Generator().manual_seed(1))
-    sample, gradient = fused.part_gradient(1, points)
-    torch.testing.assert_close(sample.distance, fused.part_distance(1, points), rtol=0, atol=2e-6)
-    at = points.clone().requires_grad_()
-    (expected,) = torch.autograd.grad(fused.part_distance(1, at).sum(), at)
-    assert (gradient - expected).abs().quantile(0.95) < 2e-2  # beside a plane of nodes either side's is right
-
-
-def test_eyes_are_read_back_from_a_run_and_older_runs_have_none(tmp_path, eyes):
+def test_eyes_are_read_back_from_a_run_older_runs_have_none_and_broken_ones_are_refused(tmp_path, eyes):
     path = tmp_path / "eyes.npz"
     assert run_folder.read_eyes(path) is None
     run_folder.write_eyes(path, eyes)
@@ -233,10 +226,6 @@ def test_eyes_are_read_back_from_a_run_and_older_runs_have_none(tmp_path, eyes):
     assert again is not None and again.cell == eyes.cell
     for name in ("values", "share", "low"):
         assert torch.equal(getattr(again, name), getattr(eyes, name))
-
-
-def test_broken_eyes_are_refused_by_name(tmp_path, eyes):
-    path = tmp_path / "eyes.npz"
     run_folder.write_eyes(path, eyes)
     arrays = dict(np.load(path))
     np.savez(path, **{**arrays, "share": arrays["share"][1:]})

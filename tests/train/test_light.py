@@ -18,7 +18,7 @@ from train.command import TrainOptions
 from train.deform import canonical_directions, posed_directions
 from train.field import TEMPLATE_SHARE
 from train.fused import FusedField
-from train.light import harmonics, light_facts, seen_lights_from_json, seen_tensors, video_light, world_light
+from train.light import harmonics, light_facts, seen_lights_from_json, video_light, world_light
 from train.preset import PRESETS, HairPreset, chosen_preset
 from train.run import lights_of
 
@@ -50,22 +50,17 @@ def test_sections_are_lit_as_numpy_says_in_the_frame_of_each_ray(capture, gamma)
         np.testing.assert_allclose(found[ray].numpy(), expected, atol=2e-6)
 
 
-def test_black_skin_in_the_dark_has_a_finite_gradient(capture):
-    video = video_light(capture, "body", CaptureLight(0.0, LAMPS, gamma=2.2), np.eye(4))
-    albedo = torch.zeros(4, 2, 3, requires_grad=True)
-    normals, eyes = (torch.as_tensor(unit(3, *shape), dtype=torch.float32) for shape in ((4, 2), (4,)))
-    video.tensors(torch.device("cpu")).lit(albedo, normals, eyes, torch.arange(4)).sum().backward()
-    assert albedo.grad is not None
-    assert torch.isfinite(albedo.grad).all()
-
-
-def test_posed_directions_undo_canonical_ones():
+def test_harmonics_are_orthogonal_and_posed_directions_undo_canonical_ones():
     rotations = matrix_from_axis_angle(np.random.default_rng(4).uniform(-2, 2, (50, 4, 3)))
     bones = torch.as_tensor(quaternion_from_matrix(rotations)).float()
     weights = torch.rand(50, 4, generator=torch.Generator().manual_seed(0)).sort(1, descending=True).values
     directions = torch.as_tensor(unit(5, 50)).float()
     back = posed_directions(canonical_directions(directions, weights, bones), weights, bones)
     torch.testing.assert_close(back, directions, rtol=0, atol=1e-5)
+    basis = harmonics(unit(9, 200_000))
+    gram = basis.T @ basis / len(basis)
+    scale = np.sqrt(np.diag(gram))
+    assert np.abs(gram / np.outer(scale, scale) - np.eye(25)).max() < 0.02
 
 
 def degrees(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -109,7 +104,7 @@ def test_the_seen_light_is_the_mean_over_the_frames_that_face_a_normal(capture):
     light = CaptureLight(0.5, LAMPS)
     video = video_light(capture, "head", light, np.eye(4))
     facts = light_facts(capture, {part: video_light(capture, part, light, np.eye(4)) for part in PARTS})
-    seen = seen_tensors(seen_lights_from_json("light_seen", facts["light_seen"]))[PARTS.index("head")]
+    seen = seen_lights_from_json("light_seen", facts["light_seen"])[PARTS.index("head")]
     normals = unit(6, 40)
     sums = np.zeros((2, 40))
     for R in video.light_from_ray:
@@ -120,12 +115,18 @@ def test_the_seen_light_is_the_mean_over_the_frames_that_face_a_normal(capture):
     assert np.abs(found - sums[1] / sums[0]).mean() < 0.03
 
 
-def test_an_even_light_is_seen_as_one_everywhere(capture):
+def test_an_even_light_is_seen_as_one_and_the_world_light_is_the_cameras_turned(capture):
     videos = {part: video_light(capture, part, CaptureLight(1.0), np.eye(4)) for part in PARTS}
     facts = light_facts(capture, videos)
-    for seen in seen_tensors(seen_lights_from_json("x", facts["light_seen"])):
+    for seen in seen_lights_from_json("x", facts["light_seen"]):
         albedo = torch.rand(20, 3, generator=torch.Generator().manual_seed(1))
         torch.testing.assert_close(seen.shown(albedo, torch.as_tensor(unit(7, 20)).float()), albedo, rtol=0, atol=1e-5)
+    light = CaptureLight(0.4, LAMPS)
+    world = world_light(capture, light)
+    camera_from_world = capture.videos["body"].cameras[0].camera_from_world[:3, :3]
+    normals = unit(8, 30)
+    assert world.frame == "world"
+    np.testing.assert_allclose(world.shading(normals), light.shading(normals @ camera_from_world.T), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -145,23 +146,7 @@ def test_seen_lights_that_are_none_are_refused(change, message):
         seen_lights_from_json("run.json", content)
 
 
-def test_the_world_light_is_the_cameras_turned_by_the_camera(capture):
-    light = CaptureLight(0.4, LAMPS)
-    world = world_light(capture, light)
-    camera_from_world = capture.videos["body"].cameras[0].camera_from_world[:3, :3]
-    normals = unit(8, 30)
-    assert world.frame == "world"
-    np.testing.assert_allclose(world.shading(normals), light.shading(normals @ camera_from_world.T), atol=1e-12)
-
-
-def test_harmonics_are_orthogonal_over_the_sphere():
-    basis = harmonics(unit(9, 200_000))
-    gram = basis.T @ basis / len(basis)
-    scale = np.sqrt(np.diag(gram))
-    assert np.abs(gram / np.outer(scale, scale) - np.eye(25)).max() < 0.02
-
-
-def test_the_paper_has_no_light_factor_and_a_command_can_leave_it_out(tmp_path):
+def test_the_paper_has_no_light_factor_and_older_runs_have_no_lights(tmp_path):
     assert not PRESETS["paper"].light
     options = lambda **changes: chosen_preset(TrainOptions(capture=tmp_path, out=tmp_path / "run", **changes))
     assert options().light
@@ -169,15 +154,12 @@ def test_the_paper_has_no_light_factor_and_a_command_can_leave_it_out(tmp_path):
     bare = options(without=("light", "hair", "clothes"))
     assert bare.hair == HairPreset() != options().hair and not bare.clothes and bare.parts == options().parts
     assert options(preset="paper", without=("light", "hair", "clothes")) == options(preset="paper")
-
-
-LIGHT = CaptureLight(0.5, LAMPS)
-
-
-def test_a_run_gives_its_lights_back_by_video_and_older_runs_have_none():
     assert lights_of(Path("run"), {}) == lights_of(Path("run"), {"light": None}) == {}
     told = {"light": {part: LIGHT.json() for part in PARTS}}
     assert lights_of(Path("run"), told) == dict.fromkeys(PARTS, LIGHT)
+
+
+LIGHT = CaptureLight(0.5, LAMPS)
 
 
 @pytest.mark.parametrize(

@@ -36,23 +36,17 @@ def paper_networks():
 # --- paper: the supplement, section 1 ------------------------------------------------------------------------
 
 
-def test_the_geometry_network_has_eight_layers_of_256_and_the_input_again_in_the_middle(paper_networks):
+def test_the_papers_three_networks_have_its_layers_inputs_and_codes(paper_networks):
     hidden = [(39, 256), *[(256, 256)] * 3, (256 + 39, 256), *[(256, 256)] * 3]
     assert _layers(paper_networks.geometry) == [*hidden, (256, 1 + 256)]
     x = torch.linspace(-0.1, 0.1, 5)
     trunk = paper_networks.geometry.trunk
     torch.testing.assert_close(trunk.activation(x), torch.log1p((100 * x).exp()) / 100)
-
-
-def test_the_colour_network_has_four_layers_of_256_and_reads_point_direction_normal_feature_and_code(paper_networks):
     inputs = 39 + 27 + 3 + 256 + 128
     hidden = [(inputs, 256), (256, 256), (256 + inputs, 256), (256, 256)]
     assert _layers(paper_networks.color) == [*hidden, (256, 3)]
     assert paper_networks.color.trunk.activation is torch.nn.functional.relu
     assert paper_networks.appearance.weight.shape == (7, 128)
-
-
-def test_the_displacement_network_has_eight_layers_of_256_and_reads_point_and_code(paper_networks):
     inputs = 39 + 128
     hidden = [(inputs, 256), *[(256, 256)] * 3, (256 + inputs, 256), *[(256, 256)] * 3]
     assert _layers(paper_networks.displacement) == [*hidden, (256, 3)]
@@ -107,15 +101,12 @@ def test_rho_doubles_every_ten_thousand_steps_up_to_1600(iteration, rho):
     assert rho_at(iteration, PAPER.parts[0]) == rho
 
 
-def test_a_shortened_preset_shortens_every_loop():
+def test_a_shortened_preset_shortens_every_loop_and_a_paper_batch_is_of_one_frame_in_turn():
     short = shortened(PAPER, 20)
     assert [p.iterations for p in short.parts] == [20] * 4
     assert short.appearance_steps == short.union.iterations == 20 and short.prefit == 100
     assert shortened(PAPER, 10_000).prefit == PAPER.prefit
     assert shortened(DEMO, 10**6).appearance_steps == DEMO.appearance_steps
-
-
-def test_a_paper_batch_is_of_one_frame_and_every_frame_with_rays_gets_its_turn():
     counts = torch.tensor([5, 0, 9, 3])  # the second frame shows nobody
     frame_of_ray = torch.arange(4).repeat_interleave(counts)
     generator = torch.Generator().manual_seed(0)
@@ -196,17 +187,6 @@ def test_hash_derivatives_of_first_and_second_order_are_right(grid):
         assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(float(analytic[row, 0]), rel=1e-4, abs=1e-6)
 
 
-def test_rows_taken_twice_add_their_gradients_as_indexing_does():
-    generator = torch.Generator().manual_seed(0)
-    table = torch.randn(6, 2, dtype=torch.double, generator=generator, requires_grad=True)
-    index = torch.tensor([3, 3, 0, 5, 3])
-    values = torch.randn(5, 2, dtype=torch.double, generator=generator)
-    (ours,) = torch.autograd.grad((take_rows(table, index).sin() * values).sum(), table)
-    (torchs,) = torch.autograd.grad((table[index].sin() * values).sum(), table)
-    torch.testing.assert_close(ours, torchs)
-    assert torch.autograd.gradgradcheck(lambda t: take_rows(t, index).sin(), table)
-
-
 def test_levels_open_coarse_first_by_forty_percent_of_the_steps_and_never_close():
     network = HashGrid(replace(TINY_HASH, levels=16, rows=64, first_levels=4), HALF)
     open_at = []
@@ -222,13 +202,21 @@ def test_levels_open_coarse_first_by_forty_percent_of_the_steps_and_never_close(
     assert again.open == 16 and torch.equal(again(points), network(points))
 
 
-def test_the_finest_cells_of_the_fast_preset_are_two_millimetres_and_seven_tenths():
+def test_finest_cells_are_two_millimetres_and_rows_taken_twice_add_their_gradients():
     for part, half in zip(FAST.parts, (1.0, 0.2, 0.15, 0.15)):
         assert isinstance(part.networks, HashNetworks)
         grid = HashGrid(replace(part.networks, rows=2**10), torch.full((3,), half))
         finest = 2 * half / float(grid.resolution[-1])
         assert finest == pytest.approx(part.networks.cell, rel=0.02)
         assert float(grid.resolution[0]) == 16
+    generator = torch.Generator().manual_seed(0)
+    table = torch.randn(6, 2, dtype=torch.double, generator=generator, requires_grad=True)
+    index = torch.tensor([3, 3, 0, 5, 3])
+    values = torch.randn(5, 2, dtype=torch.double, generator=generator)
+    (ours,) = torch.autograd.grad((take_rows(table, index).sin() * values).sum(), table)
+    (torchs,) = torch.autograd.grad((table[index].sin() * values).sum(), table)
+    torch.testing.assert_close(ours, torchs)
+    assert torch.autograd.gradgradcheck(lambda t: take_rows(t, index).sin(), table)
 
 
 # --- all three: one interface, and they learn ----------------------------------------------------------------
@@ -305,7 +293,7 @@ def test_normals_are_the_derivative_of_the_distance(hand, name):
         torch.testing.assert_close(gradient[:, axis], slope, rtol=1e-5, atol=1e-6)
 
 
-def test_rendering_by_density_teaches_the_displacement_and_the_width(hand):
+def test_rendering_by_density_teaches_displacement_and_width_and_the_fit_finds_the_hand(hand):
     preset, part, field, rays = hand("paper")
     loss, _ = losses(field, rays, Batch(torch.arange(64), torch.rand(64), 0.0), part, preset)
     loss.backward()
@@ -313,9 +301,6 @@ def test_rendering_by_density_teaches_the_displacement_and_the_width(hand):
     assert field.displacement.out.bias.grad.abs().max() > 0
     assert field.geometry.beta.grad is not None and field.geometry.beta.grad != 0
     assert all(torch.isfinite(p.grad).all() for p in field.parameters() if p.grad is not None)
-
-
-def test_the_fit_to_the_template_brings_a_sphere_onto_the_hand(hand):
     _, _, field, _ = hand("paper")
     points = field.low + torch.rand(2000, 3, generator=torch.Generator().manual_seed(7)) * (field.high - field.low)
 

@@ -59,7 +59,7 @@ def test_points_move_as_the_kinematic_chain_moves_them_to_first_order(capture, p
     assert wrong[1] / wrong[0] == pytest.approx(0.25, abs=0.05)
 
 
-def test_what_is_the_same_in_all_frames_moves_nothing(capture):
+def test_what_is_the_same_in_all_frames_moves_nothing_and_blends_move_between_their_bones(capture):
     video, subject = capture.videos["body"], capture.subject
     poses = planted(video, subject, 0.0)
     poses.increments.data += torch.linspace(-0.1, 0.1, poses.increments.shape[1])
@@ -67,10 +67,6 @@ def test_what_is_the_same_in_all_frames_moves_nothing(capture):
     turns = [matrix_from_axis_angle(v.axis_angle) for v in (poses.corrected(video), video)]
     np.testing.assert_allclose(*turns, atol=1e-6)
     assert poses.prior().item() < 1e-8
-
-
-def test_blended_points_move_between_those_of_their_bones(capture):
-    video, subject = capture.videos["body"], capture.subject
     poses = planted(video, subject, 0.5)
     point = torch.as_tensor(subject.vertices[:1], dtype=torch.float32)[None]
     joints = torch.tensor([[[18, 20, 0, 0]]])

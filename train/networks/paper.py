@@ -10,6 +10,7 @@ the weights normalised, as VolSDF does), T_nr at zero. Points are scaled to orde
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import torch
@@ -85,10 +86,6 @@ class SkipLayers(nn.Module):
         return hidden
 
 
-def _softplus(x: Tensor) -> Tensor:
-    return F.softplus(x, beta=100)
-
-
 class PaperGeometry(Geometry):
     """F_s, Eq. 1: the distance itself, from a network; and beta, the learned width of its density."""
 
@@ -115,7 +112,7 @@ class PaperGeometry(Geometry):
                     # two inputs of like size
                     layer.weight *= math.sqrt(0.5)
             layers.append(weight_norm(layer))
-        self.trunk = SkipLayers(layers, _softplus)
+        self.trunk = SkipLayers(layers, partial(F.softplus, beta=100))
         out = nn.Linear(width, 1 + networks.feature)
         nn.init.normal_(out.weight, math.sqrt(math.pi / width), 1e-4)
         nn.init.constant_(out.bias, -networks.radius)

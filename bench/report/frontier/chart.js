@@ -1,5 +1,5 @@
-// Time against FLIP: milliseconds to the right on a log axis, closer to the best rung upwards. Wheel zooms, drag moves,
-// double click shows all; a point is chosen by a click.
+// Time against FLIP: milliseconds to the right on a log axis, closer to the best rung upwards; a point is chosen by a
+// click.
 
 // a name, not an address that is asked
 const SVG = "http://www.w3.org/2000/svg";
@@ -18,13 +18,6 @@ class Chart {
     Object.assign(this, { place, choose, point, rows: [], budget: null, chosen: null, reference: "" });
     this.svg = element("svg", { role: "img", "aria-label": "time against FLIP" });
     place.append(this.svg);
-    this.svg.addEventListener("wheel", (event) => this.zoom(event), { passive: false });
-    this.svg.addEventListener("dblclick", () => this.show(this.rows));
-    this.svg.addEventListener("pointerdown", (event) => {
-      this.drag = [event.clientX, event.clientY, { ...this.view }];
-    });
-    this.svg.addEventListener("pointermove", (event) => this.pan(event));
-    for (const end of ["pointerup", "pointerleave"]) this.svg.addEventListener(end, () => { this.drag = null; });
     new ResizeObserver(() => this.draw()).observe(place);
   }
 
@@ -48,28 +41,6 @@ class Chart {
 
   y(flip) {
     return MARGIN.top + (this.box.down * (flip - this.view.y0)) / (this.view.y1 - this.view.y0);
-  }
-
-  zoom(event) {
-    event.preventDefault();
-    const box = this.svg.getBoundingClientRect(), { view } = this, factor = 1.0015 ** event.deltaY;
-    const across = (event.clientX - box.left - MARGIN.left) / this.box.across;
-    const down = (event.clientY - box.top - MARGIN.top) / this.box.down;
-    const about = (low, high, share) => {
-      const middle = low + share * (high - low);
-      return [middle + (low - middle) * factor, middle + (high - middle) * factor];
-    };
-    [view.x0, view.x1] = about(view.x0, view.x1, across);
-    [view.y0, view.y1] = about(view.y0, view.y1, down);
-    this.draw();
-  }
-
-  pan(event) {
-    if (!this.drag || !(event.buttons & 1)) return;
-    const [x, y, from] = this.drag, { across, down } = this.box;
-    const dx = ((event.clientX - x) / across) * (from.x1 - from.x0), dy = ((event.clientY - y) / down) * (from.y1 - from.y0);
-    this.view = { x0: from.x0 - dx, x1: from.x1 - dx, y0: from.y0 - dy, y1: from.y1 - dy };
-    this.draw();
   }
 
   draw() {

@@ -164,7 +164,6 @@ class Report {
     tip.style.top = `${event.clientY - box.top + 16}px`;
     const lines = [row.name, `${milliseconds(row.ms)} ms (${milliseconds(row.low)} to ${milliseconds(row.high)})`,
       row.name === this.reference.name ? "what the others are compared with" : `FLIP ${row.flip.toFixed(4)}, PSNR ${row.psnr_db ? row.psnr_db.toFixed(1) : "-"} dB`];
-    if (row.flicker) lines.push(`flicker ${row.flicker.toFixed(2)} of 255`);
     lines.push(`${(row.bytes / 1e6).toFixed(0)} MB of graphics memory`);
     if (row.ghost) lines.push(`${milliseconds(row.ghost)} ms on the machine of the bench`);
     if (row.dominated) lines.push(`dominated${row.dominated_by && this.times === "there" ? ` by ${row.dominated_by}` : ""}`);

@@ -92,7 +92,6 @@ def rings(edit: PoseEdit, state: WindowState) -> None:
     using = im_guizmo.is_using()
     tool.on_ring = using or im_guizmo.is_over()
     if using:
-        edit.pause()
         tool.turn(np.array(edited.values, np.float64).reshape(4, 4)[:3, :3].T)
     elif tool.held is not None and tool.held.handle is None:
         tool.release(0.0, 0.0)

@@ -1,4 +1,4 @@
-"""The panels of posing: the whole pose and its file, a joint's angles, hands, reach, keyframes, the library."""
+"""The panels of posing: the whole pose and its file, a joint's angles, hands, reach, the library."""
 
 from collections.abc import Callable
 from functools import partial
@@ -44,7 +44,6 @@ class PosePanels:
             ("Joint", "The selected joint and its angles.", self._joint),
             ("Hands", "Hand shapes by name, and each finger.", self._hands),
             ("Reach", "How hands and feet are pulled, and which stay where they are.", self._reach),
-            ("Keyframes", "Poses at frames of the timeline, and what is between them.", self._keyframes),
             ("Library", "Poses to take, and your own to keep.", self._library),
         ):
             if self.ui.section(title, tip):
@@ -74,10 +73,6 @@ class PosePanels:
         ui.action("Redo", actions.REDO, parts, beside=True)
         ui.action("Mirror", actions.MIRROR, parts, beside=True)
         ui.action("To ground", actions.TO_GROUND, parts, name="ground", beside=True)
-        ui.action("Copy pose", actions.COPY_POSE, parts, name="copy whole")
-        if session.copied is not None:
-            ui.action("Paste", actions.PASTE, parts, beside=True)
-            ui.action("Paste mirrored", actions.PASTE_MIRRORED, parts, name="paste mirrored", beside=True)
         tip = "Keep joints within the range of healthy adults."
         session.limited = ui.checkbox("limits", session.limited, tip)
         tip = "On: the rings turn about x, y and z of the world. Off: about the bone's own axes."
@@ -85,9 +80,8 @@ class PosePanels:
         edit.tool.frame = "world" if world else "local"
         tip = "The .npz file (AMASS) to save or load; empty saves to a new one, selfscan-pose-000.npz."
         edit.file = ui.field("file", edit.file, tip, hint="name.npz")
-        what = "keyframes" if session.keys else "pose"
-        self._button(edit, f"Save {what}", f"Write the {what} to the file.", edit.save, name="save")
-        self._button(edit, "Load", "Take the pose or keyframes of the file.", edit.load, beside=True)
+        self._button(edit, "Save pose", "Write the pose to the file.", edit.save, name="save")
+        self._button(edit, "Load", "Take the pose of the file, of a motion its first.", edit.load, beside=True)
         if session.history.dirty:
             imgui.same_line()
             imgui.text_disabled("not saved")
@@ -117,12 +111,9 @@ class PosePanels:
                          lambda value, mark: session.set_angle(joint, k, radians(value), drag=mark),
                          name=f"angle {k}")  # fmt: skip
         self._button(edit, "Reset joint", "This joint as in the T-pose.", lambda: session.reset([joint]))
-        self._button(edit, "Copy joint", "Copy this joint alone.", lambda: edit.copy((joint,), joint_name(joint)),
-                     beside=True)  # fmt: skip
         if joint:
             self._button(edit, "Reset limb", "The joint's whole limb as in the T-pose.",
-                         lambda: session.reset(limb_of(joint)))  # fmt: skip
-            ui.action("Copy limb", actions.COPY_LIMB, parts, beside=True)
+                         lambda: session.reset(limb_of(joint)), beside=True)  # fmt: skip
         if PARTNER[joint] != joint:
             self._button(edit, "Other side too", "The other side's limb does the same, mirrored.",
                          lambda: session.to_other_side(limb_of(joint)), name="other side", beside=True)  # fmt: skip
@@ -173,28 +164,6 @@ class PosePanels:
             on = ui.checkbox(f"pin {name}", limb in edit.session.pinned, tip, beside=bool(number % 2))
             if on != (limb in edit.session.pinned):
                 edit.session.pin(limb, on)
-
-    def _keyframes(self, edit: PoseEdit) -> None:
-        """Keyframes: the present pose at the frame that the timeline shows."""
-        ui, parts, session, line = self.ui, self.parts, edit.session, self.parts.state.timeline
-        ui.action("Set keyframe", actions.SET_KEY, parts, name="key")
-        if session.frame in dict(session.keys):
-            ui.action("Delete keyframe", actions.DELETE_KEY, parts, name="delete key", beside=True)
-        smooth = ui.checkbox("smooth", session.state.easing == "smooth", "Start and stop softly at each keyframe.")
-        session.ease("smooth" if smooth else "linear")
-        tip = "Every change of the pose becomes a keyframe at once."
-        session.auto_key = ui.checkbox("key every change", session.auto_key, tip, beside=True)
-        seconds = ui.number("length, s", line.duration, "How long the timeline is.", name="length")
-        if seconds is not None:
-            edit.set_length(seconds)
-        for number, (frame, _) in enumerate(session.keys):
-            if number % 6:
-                imgui.same_line()
-            text = f"[{frame}]" if frame == session.frame else f"{frame}"
-            if ui.small_button(text, f"Go to the keyframe at frame {frame}.", name=f"key {frame}"):
-                edit.show_frame(frame)
-        if session.state.unkeyed:
-            imgui.text_disabled("changed here, and no keyframe yet")
 
     def _library(self, edit: PoseEdit) -> None:
         """Poses to take; the present pose to keep under a name."""

@@ -8,7 +8,6 @@ from imgui_bundle import imgui
 from command.progress import plural
 from player.live.latency import SPANS
 from player.live.playback import LivePlayback
-from player.scene.cameras import NAMES
 from player.window import actions
 from player.window.panels.effects_panel import effects_panel
 from player.window.panels.widgets import Widgets, tip_of
@@ -87,17 +86,13 @@ def camera_panel(ui: Widgets, parts: WindowParts) -> None:
     viewpoint = parts.viewpoint
     cameras, kinds = viewpoint.cameras, viewpoint.cameras.kinds
     tip = "What the picture is seen through. Key: c takes the next."
-    chosen = ui.choice("camera", kinds.index(cameras.kind), [NAMES.get(kind, kind) for kind in kinds], tip)
+    chosen = ui.choice("camera", kinds.index(cameras.kind), kinds, tip)
     if chosen is not None:
-        cameras.choose(kinds[chosen], viewpoint.camera())
+        cameras.kind = kinds[chosen]
     if cameras.kind in ("orbit", "turntable"):
         ui.action("Reset", actions.RESET_CAMERA, parts, name="reset camera")
         viewpoint.follow = ui.checkbox(
             "follow the avatar", viewpoint.follow, tip_of(actions.FOLLOW), name="follow", beside=True
-        )
-    elif cameras.kind == "walk":
-        imgui.text_disabled(
-            "\n".join(f"{action.shown_keys[0]}  {action.means}" for action in actions.FIRST_PERSON.actions)
         )
     if parts.wipe is not None and viewpoint.shows_video:
         _wipe(ui, parts.wipe, viewpoint)
@@ -124,15 +119,10 @@ def view_panel(ui: Widgets, parts: WindowParts) -> None:
     """Choices that change the plan make a new renderer, so nothing that is not chosen is ever run."""
     look = parts.look
     # above the effects, of which there are more than a small window shows
-    film = parts.recorder.film
     ui.action("Screenshot", actions.SCREENSHOT, parts)
-    ui.action("Stop film" if film else "Film", actions.FILM, parts, name="film", beside=True)
     tip = "Milliseconds that each effect adds to a frame now, beside it; timing them takes a moment."
     if ui.button("Prices", tip, name="prices", beside=True):
         parts.prices.ask()
-    if film is not None:
-        imgui.same_line()
-        imgui.text(plural(film.frames, "frame"))
     effects_panel(ui, parts)
     if look.renderer.has_view:
         tip = "How much of the view dependence is shown. 0 is the paper."
@@ -145,10 +135,6 @@ def view_panel(ui: Widgets, parts: WindowParts) -> None:
         chosen = ui.choice("detail", min(look.level, levels - 1), names, "Level of detail: fewer triangles are faster.")
         if chosen is not None:
             look.change(level=chosen)
-        tip = "Each avatar gets a coarser level where it is small on the screen; the level above is the finest."
-        follows = ui.checkbox("by size", look.by_size, tip, name="detail by size", beside=True)
-        if follows != look.by_size:
-            look.follow_size(follows)
     if look.background.kind == "color":
         color = ui.color("background", look.background.color[:3], "Colour behind the avatars; click the patch.")
         if color is not None:

@@ -1,14 +1,13 @@
-"""The panel of time: play, step, scrub, speed, loop, the range A to B."""
+"""The panel of time: play, step, scrub, speed."""
 
 from imgui_bundle import imgui
 
 from player.window import actions
 from player.window.panels.widgets import Widgets
 from player.window.parts import WindowParts
-from player.window.timeline import LOOPS, SPEEDS
+from player.window.timeline import SPEEDS
 
 MARK = imgui.IM_COL32(255, 204, 51, 255)
-RANGE = imgui.IM_COL32(255, 204, 51, 60)
 
 
 def timeline_panel(ui: Widgets, parts: WindowParts) -> None:
@@ -24,13 +23,6 @@ def timeline_panel(ui: Widgets, parts: WindowParts) -> None:
     chosen = ui.choice("##speed", speeds.index(line.speed), [f"x {speed:g}" for speed in speeds],
                        "How fast it plays. Keys: [ and ]", name="speed", width=5.5 * letter)  # fmt: skip
     line.speed = line.speed if chosen is None else speeds[chosen]
-    imgui.same_line()
-    chosen = ui.choice("##loop", LOOPS.index(line.loop), LOOPS, "What happens at the end. Key: l", name="loop",
-                       width=7.0 * letter)  # fmt: skip
-    if chosen is not None:
-        line.loop, line.backwards = LOOPS[chosen], False
-    for name, action in (("A", actions.RANGE_A), ("B", actions.RANGE_B), ("A-B off", actions.RANGE_OFF)):
-        ui.action(name, action, parts, name=name, beside=True)
     ui.action("Keys", actions.HELP, parts, name="keys", beside=True)
     imgui.same_line()
     if line.frames == 1 and parts.posing.edit is None:
@@ -41,8 +33,8 @@ def timeline_panel(ui: Widgets, parts: WindowParts) -> None:
 
 
 def _scrubber(ui: Widgets, parts: WindowParts) -> None:
-    line, edit = parts.state.timeline, parts.posing.edit
-    tip = "Drag to any moment. Yellow: the range A-B. Triangles: camera keys. Diamonds: keyframes of the pose."
+    line = parts.state.timeline
+    tip = "Drag to any moment. Triangles: camera keys."
     frame = ui.scrubber(line.frame, max(line.frames - 1, 1), tip)
     if frame is not None:
         line.seek(frame)
@@ -52,14 +44,6 @@ def _scrubber(ui: Widgets, parts: WindowParts) -> None:
     def across(frame: float | int) -> float:
         return low.x + (high.x - low.x) * (frame + 0.5) / line.frames
 
-    if line.a is not None or line.b is not None:
-        last = line.frames - 1 if line.b is None else line.b
-        draw.add_rect_filled(imgui.ImVec2(across(line.a or 0), low.y), imgui.ImVec2(across(last), high.y), RANGE)
-    if edit is not None:
-        y = 0.5 * (low.y + high.y)
-        # a diamond each
-        for frame, _ in edit.session.keys:
-            draw.add_ngon_filled(imgui.ImVec2(across(frame * line.rate / edit.session.rate), y), 5.0, MARK, 4)
     for seconds, _ in parts.viewpoint.cameras.keys:
         x = across(seconds * line.rate - 0.5)
         draw.add_triangle_filled(

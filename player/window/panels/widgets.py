@@ -63,11 +63,6 @@ class Widgets:
         if self.button(text, tip_of(action), name=name, beside=beside, width=width):
             action.do(parts)
 
-    def small_button(self, text: str, tip: str, *, name: str) -> bool:
-        pressed = imgui.small_button(f"{text}##{name}")
-        self._done(name, tip)
-        return pressed
-
     # -- values
 
     def checkbox(

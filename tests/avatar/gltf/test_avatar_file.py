@@ -7,12 +7,13 @@ import rigs
 import trimesh
 from node_packages import package_folder, run_node
 from PIL import Image
-from tiny_avatar import same, tiny_avatar, tiny_high_avatar, tiny_level, unit
+from tiny_avatar import same, tiny_avatar, tiny_level, unit
 
 from avatar.gltf import avatar_file
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.gltf.document import read_gltf
 from avatar.gltf.scene import read_primitive, read_skin, world_from_node
+from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import JOINTS, joint_transforms, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from command.errors import AssetError
@@ -29,15 +30,23 @@ def oracle(**changes):
     return tiny_avatar(**(nothing | changes))
 
 
+# under a light that varies over it, some of it loose
+LIGHT = CaptureLight(0.4, (Lamp((0.0, 0.6, 0.8), 0.5),), gloss=0.1, gamma=2.2, frame="world")
+LIT = dataclasses.replace(
+    tiny_level(features=False),
+    light=np.linspace(0.5, 1.5, 16, dtype=np.float32).reshape(8, 2),
+    loose=np.linspace(0, 1, 8, dtype=np.float32),
+)
+
+
 @pytest.mark.parametrize(
     "avatar",
     [
         tiny_avatar(),
         oracle(),
         tiny_avatar(network=None, default_view="linear"),
-        tiny_high_avatar(),
-        tiny_high_avatar(network=None, default_view="linear"),
-        tiny_high_avatar(linear=None, default_view="off"),
+        tiny_avatar(linear=None, default_view="off"),
+        oracle(levels=(LIT,), light=LIGHT),
     ],
 )
 def test_an_avatar_comes_back_to_the_last_bit(path, avatar):
@@ -64,11 +73,20 @@ def test_of_the_levels_only_those_wanted_are_decoded(path, monkeypatch):
     assert 0 < few < len(decoded) - few
 
 
-def test_the_same_avatar_gives_the_same_bytes(path):
+def test_the_same_avatar_gives_the_same_bytes_and_trimesh_loads_its_finest_level(path):
     write_avatar(path, tiny_avatar())
     first = path.read_bytes()
     write_avatar(path, read_avatar(path))
     assert path.read_bytes() == first
+    avatar = tiny_avatar()
+    write_avatar(path, avatar)
+    scene = trimesh.load_scene(path)
+    (name,) = scene.graph.nodes_geometry
+    mesh = scene.geometry[scene.graph[name][1]]
+    np.testing.assert_array_equal(mesh.faces, avatar.levels[0].faces)
+    np.testing.assert_allclose(mesh.vertices, avatar.levels[0].positions)
+    texture = mesh.visual.material.baseColorTexture
+    np.testing.assert_array_equal(np.array(texture), avatar.levels[0].base_color)
 
 
 @pytest.mark.parametrize("vertices, width", [(65534, 2), (65536, 4)])
@@ -100,33 +118,18 @@ def test_a_plain_viewer_opens_the_finest_level_in_pose_zero(path):
     np.testing.assert_allclose(world_from_node(gltf)[:52, :3, 3], world, atol=1e-12)
 
 
-@pytest.mark.parametrize("avatar, keys", [(tiny_avatar(), ["featureImage"]),
-                                          (tiny_high_avatar(), ["featureImage", "featureImage2"])])  # fmt: skip
-def test_four_features_lie_as_grey_planes_one_below_the_other_in_each_image(path, avatar, keys):
+def test_four_features_lie_as_grey_planes_one_below_the_other(path):
+    avatar = tiny_avatar()
     write_avatar(path, avatar)
     gltf = read_gltf(path)
     for item, level in zip(gltf.json["extensions"]["SELFSCAN_avatar"]["levels"], avatar.levels, strict=True):
-        for first, key in enumerate(keys):
-            image = Image.open(io.BytesIO(gltf.image(item[key])[0]))
-            planes = [level.features[..., i] for i in range(4 * first, 4 * first + 4)]
-            # no color profile, no gamma: nothing for a decoder to apply
-            assert image.mode == "L" and not image.info
-            np.testing.assert_array_equal(np.array(image), np.concatenate(planes))
+        image = Image.open(io.BytesIO(gltf.image(item["featureImage"])[0]))
+        # no color profile, no gamma: nothing for a decoder to apply
+        assert image.mode == "L" and not image.info
+        np.testing.assert_array_equal(np.array(image), np.concatenate([level.features[..., i] for i in range(4)]))
 
 
-def test_trimesh_loads_the_finest_level_with_its_texture(path):
-    avatar = tiny_avatar()
-    write_avatar(path, avatar)
-    scene = trimesh.load_scene(path)
-    (name,) = scene.graph.nodes_geometry
-    mesh = scene.geometry[scene.graph[name][1]]
-    np.testing.assert_array_equal(mesh.faces, avatar.levels[0].faces)
-    np.testing.assert_allclose(mesh.vertices, avatar.levels[0].positions)
-    texture = mesh.visual.material.baseColorTexture
-    np.testing.assert_array_equal(np.array(texture), avatar.levels[0].base_color)
-
-
-@pytest.mark.parametrize("avatar", [tiny_avatar(), oracle(), tiny_high_avatar()])
+@pytest.mark.parametrize("avatar", [tiny_avatar(), oracle()])
 def test_the_khronos_validator_finds_no_error_and_no_warning(path, avatar):
     folder = package_folder("gltf-validator")
     write_avatar(path, avatar)
@@ -148,23 +151,19 @@ def moved_pelvis():
     return joints
 
 
-NETWORK, HIGH = tiny_avatar().network, tiny_high_avatar().network
+NETWORK = tiny_avatar().network
 BROKEN = [
-    (tiny_high_avatar(levels=(tiny_level(features=8), tiny_level(2, faces=3))), r"'levels\[1\].features': 4"),
-    (tiny_high_avatar(network=dataclasses.replace(HIGH, b3=None)), r"network.b3 should be an array"),
-    (tiny_avatar(network=dataclasses.replace(NETWORK, b3=HIGH.b3)), r"network.b3 should be absent where w3 is"),
-    (tiny_high_avatar(network=dataclasses.replace(HIGH, w1=NETWORK.w1)), r"network.w1 should be float32 \(16, 12\)"),
-    (tiny_high_avatar(network=dataclasses.replace(HIGH, b2=np.full(16, np.inf, "f4"))), r"network.b2 should be finite"),
-    (oracle(levels=(tiny_level(features=5),)), r"levels\[0\].features should be 4 or 8 a texel, are 5"),
-    (tiny_avatar(linear=np.zeros((5, 3, 3), "f4")), "linear should be 4 or 8 matrices"),
+    (tiny_avatar(network=dataclasses.replace(NETWORK, b2=np.full(3, np.inf, "f4"))), r"network.b2 should be finite"),
     (changed("normals", 2, 0), r"levels\[0\].normals should be of unit length, is .* in row 2"),
     (changed("view_q", 1, [-1, 0, 0, 0, 0, 0]), r"levels\[0\].view_q should be positive semi-definite"),
     (changed("view_q", 1, [1, 2, 0, 1, 0, 0]), r"levels\[0\].view_q should be positive semi-definite"),
     (changed("view_seen", 1, 1.5), r"levels\[0\].view_seen should be from 0 to 1, is 1.5 in row 1"),
+    (oracle(levels=(dataclasses.replace(LIT, loose=LIT.loose + 0.5),), light=LIGHT), r"\.loose should be from 0 to 1"),
     (changed("joints", 4, [3, 3, 3, 3]), r"levels\[0\].joints should be each joint once"),
     (oracle(default_view="network"), "default_view is 'network', but the avatar has no network"),
     (tiny_avatar(levels=(tiny_level(features=False),)), r"but levels\[0\] has no features"),
     (tiny_avatar(levels=tiny_avatar().levels[::-1]), r"finest to coarsest, have \[3, 6\] faces"),
+    (oracle(levels=(LIT,)), "light should be in the avatar and all of its levels"),
     (oracle(joint_positions=moved_pelvis()), "pelvis at the origin, has it at"),
     (oracle(provenance={"psnr": float("nan")}), "provenance should be what JSON holds"),
     (oracle(provenance={"psnr": np.float32(1)}), "provenance should be what JSON holds"),
@@ -179,13 +178,17 @@ def test_a_broken_promise_is_named_and_the_old_file_stays(path, avatar, message)
     assert path.read_bytes() == b"old" and [p.name for p in path.parent.iterdir()] == ["tiny.glb"]
 
 
-def test_influences_of_no_weight_name_joint_zero(path):
+def test_influences_of_no_weight_name_joint_zero_and_unit_is_kept_by_float32(path):
     level = tiny_level()
     weights = np.tile(np.array([255, 0, 0, 0], np.uint8), (len(level.weights), 1))
     write_avatar(path, oracle(levels=(dataclasses.replace(level, weights=weights),)))
     found = read_avatar(path).levels[0].joints
     np.testing.assert_array_equal(found[:, 0], level.joints[:, 0])
     assert not found[:, 1:].any()
+    # Directions normalised in float32 pass the reader's check of their length.
+    directions = unit(np.random.default_rng(0).normal(size=(8, 3)) * 1e-20)
+    write_avatar(path, oracle(levels=(dataclasses.replace(tiny_level(), view_dir=directions),)))
+    np.testing.assert_array_equal(read_avatar(path).levels[0].view_dir, directions)
 
 
 @pytest.mark.parametrize("extension", ["VRM", "VRMC_vrm"])
@@ -195,10 +198,3 @@ def test_a_vrm_is_refused_with_what_can_be_done_with_it(tmp_path, extension):
     person = rigs.write(tmp_path / "person.vrm", document)
     with pytest.raises(AssetError, match=f"a VRM person, not a baked avatar: `selfscan synth {person} OUT`.*--motion"):
         read_avatar(person)
-
-
-def test_unit_is_kept_by_float32(path):
-    """Directions normalised in float32 pass the reader's check of their length."""
-    directions = unit(np.random.default_rng(0).normal(size=(8, 3)) * 1e-20)
-    write_avatar(path, oracle(levels=(dataclasses.replace(tiny_level(), view_dir=directions),)))
-    np.testing.assert_array_equal(read_avatar(path).levels[0].view_dir, directions)

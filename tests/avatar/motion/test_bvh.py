@@ -55,7 +55,7 @@ def ours(motion):
 def test_limbs_point_where_the_files_own_kinematics_points_them(name, data, within):
     path = data / "bvh" / f"{name}.bvh"
     bvh = open_bvh(path)
-    _, at = bvh.transforms(bvh.values(0, bvh.frames))
+    _, at = bvh.transforms(np.arange(bvh.frames))
     _, G = ours(read_bvh(path))
     left = RIGS[name]
     pairs = left | {ours.replace("left", "right"): other_side(theirs) for ours, theirs in left.items()}
@@ -80,7 +80,7 @@ def test_no_joint_turns_faster_than_in_the_file(name, data):
     """A flip would be a turn that the file does not have: one constant rotation lies between its bones and ours."""
     path = data / "bvh" / f"{name}.bvh"
     bvh = open_bvh(path)
-    R, _ = bvh.transforms(bvh.values(0, bvh.frames))
+    R, _ = bvh.transforms(np.arange(bvh.frames))
     _, G = ours(read_bvh(path))
     left = RIGS[name]
     for joint, theirs in (left | {o.replace("left", "right"): other_side(t) for o, t in left.items()}).items():
@@ -170,7 +170,7 @@ def test_channels_compose_in_the_order_written_and_frames_may_wrap(tmp_path):
     (tmp_path / "t.bvh").write_text(TINY)
     bvh = open_bvh(tmp_path / "t.bvh")
     assert (bvh.frames, bvh.rate, bvh.ends) == (2, 2.0, ((1, (0.0, 2.0, 0.0)),))
-    R, at = bvh.transforms(bvh.values(0, 2))
+    R, at = bvh.transforms(np.arange(2))
 
     def turn(axis, degrees):
         return matrix_from_axis_angle(np.eye(3)["XYZ".index(axis)] * np.radians(degrees))

@@ -1,13 +1,18 @@
-"""Clips, resampling, and the built-in motions."""
+"""Clips, resampling, the built-in motions, and hands that are replaced or left."""
 
+import dataclasses
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from smplh_model import model_body
+from tiny_avatar import tiny_avatar
 
 from avatar.body import builtin_body
+from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.clip import Clip, fitted, resample
 from avatar.motion.fingers import hand_pose, relaxed_hands
+from avatar.motion.hands import HANDS, with_hands
 from avatar.motion.read import BUILTIN_MOTIONS, builtin_motion, read_motion
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
 from avatar.skeleton import JOINT_NUMBERS as J
@@ -15,6 +20,9 @@ from avatar.skeleton import PARENTS, joint_transforms, skin_transforms
 from avatar.skinning import skin_points
 from command.errors import AssetError
 from experiments.builtin_motions import AUTHORED
+from player.film.command import render_main
+from player.scene.mannequin import mannequin
+from player.scene.motions import motion_for
 
 
 def spin(frames: int, rate: float, speed: float) -> Clip:
@@ -41,19 +49,10 @@ def test_resampling_a_constant_spin_is_exact(rate):
     np.testing.assert_allclose(dots, 1, atol=1e-12)
 
 
-def test_resampling_at_the_same_rate_or_of_one_frame_changes_nothing():
+def test_resampling_at_the_same_rate_changes_nothing_and_fitting_scales_the_root():
     clip = spin(5, 30.0, 1.0)
     np.testing.assert_array_equal(resample(clip, 30.0).axis_angle, clip.axis_angle)
     assert len(resample(spin(1, 30.0, 1.0), 120.0).root) == 1
-
-
-@pytest.mark.parametrize("rate", [0, -1, np.nan, np.inf])
-def test_a_rate_that_is_not_positive_is_refused(rate):
-    with pytest.raises(ValueError, match="rate should be positive"):
-        resample(spin(3, 30.0, 1.0), rate)
-
-
-def test_fitting_scales_the_root_by_the_ratio_of_pelvis_heights_and_says_so():
     motion = builtin_motion("walking")
     clip, out = motion.read(0, 4), fitted(motion, motion.pelvis_height * 0.9).read(0, 4)
     np.testing.assert_allclose(out.root, 0.9 * clip.root)
@@ -61,6 +60,12 @@ def test_fitting_scales_the_root_by_the_ratio_of_pelvis_heights_and_says_so():
     unknown = fitted(replace(motion, pelvis_height=None), 0.8).read(0, 4)
     np.testing.assert_array_equal(unknown.root, clip.root)
     assert "not scaled" in unknown.notes[-1]
+
+
+@pytest.mark.parametrize("rate", [0, -1, np.nan, np.inf])
+def test_a_rate_that_is_not_positive_is_refused(rate):
+    with pytest.raises(ValueError, match="rate should be positive"):
+        resample(spin(3, 30.0, 1.0), rate)
 
 
 @pytest.mark.slow
@@ -89,13 +94,10 @@ def test_feet_stay_on_the_ground_and_joints_move_like_joints(name):
     )  # not a T-pose
 
 
-def test_every_finger_moves_in_both_clips():
+def test_every_finger_moves_and_elbows_of_waving_and_counting_arms_bend_forward():
     for name in BUILTIN_MOTIONS:
         hands = builtin_motion(name).read().axis_angle[:, 22:]
         assert np.ptp(hands, axis=0).max(-1).min() > 0.1
-
-
-def test_elbows_of_the_waving_and_counting_arms_bend_forward():
     clip = builtin_motion("counting").read()
     G = world(clip)
     for side in ("left", "right"):
@@ -135,7 +137,7 @@ def test_curling_brings_every_fingertip_towards_the_palm_on_both_sides():
     assert relaxed_hands().shape == (30, 3)
 
 
-def test_walking_ends_where_it_began_and_planted_feet_do_not_slide():
+def test_walking_ends_where_it_began_faces_where_it_goes_and_planted_feet_do_not_slide():
     clip = builtin_motion("walking").read()
     G = world(clip)
     step = np.linalg.norm(np.diff(clip.root, axis=0), axis=-1)
@@ -145,10 +147,6 @@ def test_walking_ends_where_it_began_and_planted_feet_do_not_slide():
         for start in range(first, 210, 30):
             assert np.ptp(ankle[start : start + 5], axis=0).max() < 1e-4
     assert PARENTS[J["left_ankle"]] == J["left_knee"]
-
-
-def test_the_walker_faces_where_it_walks():
-    clip = builtin_motion("walking").read()
     forward = matrix_from_axis_angle(clip.axis_angle[:, 0])[:, :, 2]
     velocity = np.gradient(clip.root, axis=0)
     velocity /= np.linalg.norm(velocity, axis=-1, keepdims=True)
@@ -169,3 +167,43 @@ def test_unknown_motions_are_refused_by_name(tmp_path):
     (tmp_path / "song.mp3").write_bytes(b"x")
     with pytest.raises(AssetError, match=r"expected a motion \(\.npz AMASS or SAM 3D Body, .* found '\.mp3'"):
         read_motion(tmp_path / "song.mp3")
+
+
+def test_hands_of_the_file_are_left_and_the_command_says_what_it_did_with_them(tmp_path, capsys):
+    motion = builtin_motion("counting")
+    assert with_hands(motion, "file") is motion
+    for body in (None, builtin_body("male"), model_body(tmp_path, hands=False)):
+        with pytest.raises(AssetError, match="hands_meanl and hands_meanr, given with --body"):
+            with_hands(motion, "mean", body)
+    with pytest.raises(ValueError, match="file, flat, relaxed, mean, is 'fist'"):
+        with_hands(builtin_motion("counting"), "fist")
+    write_avatar(tmp_path / "a.glb", dataclasses.replace(tiny_avatar(), name="a"))
+    frame = ["--frame", "3", "--size", "32x32", "-o", str(tmp_path / "a.png")]
+    assert render_main([str(tmp_path / "a.glb"), "--motion", "counting", "--hands", "relaxed", *frame]) == 0
+    assert "hands: relaxed, in place of the file's" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("choice", ["flat", "relaxed", "mean"])
+def test_hands_are_replaced_in_every_frame_and_nothing_else(tmp_path, choice):
+    body = model_body(tmp_path)
+    motion = builtin_motion("counting")
+    new, old = with_hands(motion, choice, body).read(120, 140), motion.read(120, 140)
+    expected = {"flat": np.zeros((30, 3)), "relaxed": relaxed_hands(), "mean": body.hands.mean.reshape(30, 3)}[choice]
+    np.testing.assert_array_equal(new.axis_angle[:, 22:], np.broadcast_to(expected, (20, 30, 3)))
+    np.testing.assert_array_equal(new.axis_angle[:, :22], old.axis_angle[:, :22])
+    np.testing.assert_array_equal(new.root, old.root)
+    assert np.ptp(old.axis_angle[:, 22:], axis=0).max() > 0.1  # the file's hands do move
+    said = [note for note in new.notes if note.startswith("hands:")]
+    assert len(said) == 1 and "in place of the file's" in said[0]
+
+
+@pytest.mark.parametrize("choice", HANDS)
+def test_the_command_opens_the_motion_with_the_hands_asked_for(tmp_path, choice):
+    body = model_body(tmp_path)
+    avatar, model = mannequin(), str(tmp_path / "model.npz")
+    motion = motion_for(avatar, "walking", body=model, hands=choice)
+    same = with_hands(builtin_motion("walking"), choice, body)
+    np.testing.assert_array_equal(motion.read(5, 6).axis_angle, same.read(5, 6).axis_angle)
+    assert set(same.notes) < set(motion.notes)
+    still = motion_for(avatar, None, body=model, hands=choice).read()
+    assert bool(still.axis_angle[0, 22:].any()) == (choice in ("relaxed", "mean"))

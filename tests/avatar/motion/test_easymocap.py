@@ -54,13 +54,17 @@ def test_joints_stand_where_easymocap_puts_them(tmp_path, wrap, within):
         within(ours - theirs, 1e-9, "m")
 
 
-def test_without_a_model_the_usual_pelvis_is_taken_and_said(tmp_path):
+def test_without_a_model_the_pelvis_is_the_usual_one_and_too_many_coefficients_are_refused(tmp_path):
     one = person()
     motion = read_easymocap(folder(tmp_path / "a", [[one]]))
     R = matrix_from_axis_angle(np.array(one["Rh"][0]))
     np.testing.assert_allclose(motion.read().root[0], np.array(one["Th"][0]) + R @ USUAL_PELVIS, atol=1e-12)
     for words in ("usual J0", "30 frames per second assumed", "betas ignored", "up: +y"):
         assert any(words in note for note in motion.notes), words
+    body = model_body(tmp_path, components=6)
+    one = person(63, handl=[[0.0] * 12], handr=[[0.0] * 12])
+    with pytest.raises(AssetError, match="handl has 12 numbers"):
+        read_easymocap(folder(tmp_path / "a1", [[one]]), body=body)
 
 
 @pytest.mark.parametrize("axis, Rh", [("+z", [np.pi / 2, 0, 0]), ("-y", [np.pi, 0, 0]), ("-z", [-np.pi / 2, 0, 0])])
@@ -119,13 +123,6 @@ def test_hands_apart(tmp_path, count):
         read_easymocap(tmp_path / "a")
 
 
-def test_more_coefficients_than_the_model_has_are_refused(tmp_path):
-    body = model_body(tmp_path, components=6)
-    one = person(63, handl=[[0.0] * 12], handr=[[0.0] * 12])
-    with pytest.raises(AssetError, match="handl has 12 numbers"):
-        read_easymocap(folder(tmp_path / "a", [[one]]), body=body)
-
-
 def test_the_lowest_of_several_people_is_read(tmp_path):
     frames = [[person(number=7, seed=1), person(number=3, seed=2)], [person(number=3, seed=4)]]
     motion = read_easymocap(folder(tmp_path / "a", frames))
@@ -133,14 +130,18 @@ def test_the_lowest_of_several_people_is_read(tmp_path):
     np.testing.assert_allclose(motion.read(1, 2).axis_angle[0, 1], frames[1][0]["poses"][0][3:6], atol=1e-15)
 
 
-def test_a_frame_without_the_person_is_named(tmp_path):
+def test_a_frame_without_the_person_and_one_of_another_length_are_named(tmp_path):
     motion = read_easymocap(folder(tmp_path / "a", [[person()], [person()], [person(number=5)]]))
     motion.read(0, 2)
     with pytest.raises(AssetError, match=r"000002\.json: no person 0; there are \[5\]"):
         motion.read(1, 3)
+    frames = [[person()]] * 40 + [[person(72)]] + [[person()]] * 40
+    motion = read_easymocap(folder(tmp_path / "a1", frames))
+    with pytest.raises(AssetError, match=r"000040\.json: poses should have 156 numbers as in frame 0, has 72"):
+        motion.read()
 
 
-def test_frames_are_read_in_the_order_of_their_numbers_and_gaps_are_said(tmp_path):
+def test_frames_are_read_by_their_numbers_and_one_file_is_one_frame(tmp_path):
     (tmp_path / "a").mkdir()
     for number in (0, 1, 9, 10):
         (tmp_path / "a" / f"{number:06d}.json").write_text(json.dumps([person(seed=number)]))
@@ -148,11 +149,11 @@ def test_frames_are_read_in_the_order_of_their_numbers_and_gaps_are_said(tmp_pat
     motion = read_easymocap(tmp_path / "a")
     assert motion.frames == 4 and any("0 to 10 skip 7" in note for note in motion.notes)
     np.testing.assert_allclose(motion.read(3, 4).axis_angle[0, 1], person(seed=10)["poses"][0][3:6], atol=1e-15)
-
-
-def test_one_file_is_one_frame(tmp_path):
-    path = folder(tmp_path / "a", [[person()]]) / "000000.json"
+    path = folder(tmp_path / "a1", [[person()]]) / "000000.json"
     assert read_motion(path).frames == 1
+    (tmp_path / "out" / "smpl").mkdir(parents=True)
+    with pytest.raises(AssetError, match=r"found none; its folder smpl/ may be meant"):
+        read_motion(tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -180,16 +181,3 @@ def test_what_a_frame_lacks_is_named(tmp_path, key):
     one.pop(key)
     with pytest.raises(AssetError, match=f"no {key}; the person has"):
         read_easymocap(folder(tmp_path / "a", [[one]]))
-
-
-def test_a_later_frame_of_another_length_is_named(tmp_path):
-    frames = [[person()]] * 40 + [[person(72)]] + [[person()]] * 40
-    motion = read_easymocap(folder(tmp_path / "a", frames))
-    with pytest.raises(AssetError, match=r"000040\.json: poses should have 156 numbers as in frame 0, has 72"):
-        motion.read()
-
-
-def test_a_folder_of_something_else_is_refused_with_a_hint(tmp_path):
-    (tmp_path / "out" / "smpl").mkdir(parents=True)
-    with pytest.raises(AssetError, match=r"found none; its folder smpl/ may be meant"):
-        read_motion(tmp_path / "out")

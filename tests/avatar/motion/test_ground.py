@@ -74,33 +74,35 @@ def test_what_was_done_is_said_in_english(lift, said):
     assert said in find_ground(moved, MAN).note and "-" not in find_ground(moved, MAN).note
 
 
-def test_a_jump_stays_a_jump(within):
+def test_a_jump_stays_a_jump_and_stairs_stand_on_the_floor_they_begin_on(within):
     """Half of the time in the air."""
     t = np.arange(300) / 30
     flight = np.maximum(0, 0.5 * np.sin(2 * np.pi * t))
     moved = on_ground(walking(0.2, heights=flight), MAN)
     within(np.median(soles(moved, MAN)[flight == 0]), 0.005, "m")
     assert soles(moved, MAN).max() > 0.45
-
-
-def test_stairs_stand_on_the_floor_they_begin_on(within):
     steps = 0.17 * np.clip((np.arange(600) - 150) // 30, 0, 12)
     moved = on_ground(walking(-0.1, heights=steps), MAN)
     within(np.median(soles(moved, MAN)[:150]), 0.006, "m")
     assert np.median(soles(moved, MAN)[-100:]) == pytest.approx(12 * 0.17, abs=0.02)
 
 
-def test_who_never_stands_keeps_the_heights_of_the_file():
+def test_who_never_stands_keeps_the_heights_and_a_long_motion_is_looked_at_in_part():
     """Up and down in the water, all the time."""
     swim = walking(heights=1.5 + np.cumsum(0.02 * np.cos(np.arange(900) / 40)))
     ground = find_ground(swim, MAN)
     assert ground.lift == 0 and ground.note == "ground: the body never stands, so the file's heights are kept"
-
-
-def test_a_motion_that_knows_its_ground_is_moved_by_shoes_only():
     assert find_ground(walking(0.04, grounded=True), MAN).lift == pytest.approx(-0.037, abs=0.005)
     high = find_ground(walking(0.6, grounded=True), MAN)
     assert high.lift == 0 and "stays" in high.note
+    read = []
+
+    def block(start, stop):
+        read.append(stop - start)
+        return np.zeros((stop - start, 52, 3)), np.tile([0.0, 1.2, 0.0], (stop - start, 1))
+
+    ground = find_ground(Motion("long", 10_000_000, 120.0, (), block), MAN)
+    assert sum(read) <= 256 and max(read) <= 64 and ground.lift < -0.2
 
 
 def test_frames_that_cannot_be_read_are_the_business_of_who_shows_them():
@@ -113,17 +115,6 @@ def test_frames_that_cannot_be_read_are_the_business_of_who_shows_them():
     assert motion.read(0, 10).root[0, 1] < walking(0.1).read(0, 1).root[0, 1] - 0.08
     with pytest.raises(AssetError, match="frame 140"):
         motion.read(130, 150)
-
-
-def test_a_long_motion_is_looked_at_in_part():
-    read = []
-
-    def block(start, stop):
-        read.append(stop - start)
-        return np.zeros((stop - start, 52, 3)), np.tile([0.0, 1.2, 0.0], (stop - start, 1))
-
-    ground = find_ground(Motion("long", 10_000_000, 120.0, (), block), MAN)
-    assert sum(read) <= 256 and max(read) <= 64 and ground.lift < -0.2
 
 
 def amass_file(path, hull, lift):

@@ -13,6 +13,7 @@ from avatar.motion.bvh_write import euler_zxy
 from avatar.motion.clip import RestSkeleton
 from avatar.motion.read import builtin_motion
 from avatar.motion.retarget import retarget
+from avatar.motion.rig import AnimatedRig
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
 from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
@@ -31,30 +32,17 @@ def exporter_name(joint):
     return side.capitalize() + MIXAMO[base]
 
 
-@dataclass(frozen=True)
-class MadeRig:
+@dataclass(frozen=True, kw_only=True)
+class MadeRig(AnimatedRig):
     """The 22 joints of a body moving, each bone's own axes turned by `axes` against the T-pose's."""
 
     joints: np.ndarray  # (22, 3)
     rotations: np.ndarray  # (frames, 22, 3, 3), of the T-pose's axes
     places: np.ndarray  # (frames, 22, 3)
     axes: np.ndarray  # (22, 3, 3)
-    path: Path = Path("made.bvh")
-    rate: float = 30.0
-    ends = ()
-    names = tuple(exporter_name(joint) for joint in JOINTS[:22])
-    parents = tuple(int(p) for p in PARENTS[:22])
 
-    @property
-    def frames(self):
-        return len(self.places)
-
-    def values(self, start, stop):
-        return np.arange(start, stop)[:, None].astype(float)
-
-    def transforms(self, values):
-        chosen = values[:, 0].astype(int)
-        return self.rotations[chosen] @ self.axes, self.places[chosen]
+    def transforms(self, frames):
+        return self.rotations[frames] @ self.axes, self.places[frames]
 
     def offsets(self):
         out = np.array(self.joints)
@@ -68,6 +56,14 @@ class MadeRig:
         for k in range(1, 22):
             at[k] += at[PARENTS[k]]
         return at
+
+
+def made_rig(joints, rotations, places, axes):
+    names, parents = tuple(map(exporter_name, JOINTS[:22])), tuple(int(p) for p in PARENTS[:22])
+    return MadeRig(
+        path=Path("made.bvh"), names=names, parents=parents, frames=len(places), rate=30.0, joints=joints,
+        rotations=rotations, places=places, axes=axes,
+    )  # fmt: skip
 
 
 def moving(name="walking", start=0, stop=48):
@@ -119,9 +115,9 @@ def test_a_stick_along_x_moves_as_its_twin_in_t_pose(name, start, stop, mirrored
     joints, R, at = moving(name, start, stop)
     other = builtin_body("female")
     skeleton = RestSkeleton(other.joints.astype(np.float64), 0.9)
-    twin = retarget(MadeRig(joints, R, at, np.tile(np.eye(3), (22, 1, 1))), skeleton, up_known=True)
+    twin = retarget(made_rig(joints, R, at, np.tile(np.eye(3), (22, 1, 1))), skeleton, up_known=True)
     stick = retarget(
-        MadeRig(joints, R, at, stick_axes(joints, mirrored=mirrored, rolls=rolls)), skeleton, up_known=True
+        made_rig(joints, R, at, stick_axes(joints, mirrored=mirrored, rolls=rolls)), skeleton, up_known=True
     )
     assert any("no person's" in note for note in stick.notes)
     a, b = twin.read(), stick.read()
@@ -164,11 +160,11 @@ def write_stick(path, rig):
 def test_a_stick_in_a_file_is_read_with_bending_knees_and_flat_feet(tmp_path, within):
     joints, R, at = moving()
     write_stick(
-        tmp_path / "stick.bvh", MadeRig(joints, R, at, stick_axes(joints, mirrored=True, rolls=(0.3, 2, 1, -1)))
+        tmp_path / "stick.bvh", made_rig(joints, R, at, stick_axes(joints, mirrored=True, rolls=(0.3, 2, 1, -1)))
     )
     bvh = open_bvh(tmp_path / "stick.bvh")
     order = [bvh.names.index(exporter_name(JOINTS[k])) for k in range(22)]
-    np.testing.assert_allclose(bvh.transforms(bvh.values(0, 48))[1][:, order], at, atol=1e-4)
+    np.testing.assert_allclose(bvh.transforms(np.arange(48))[1][:, order], at, atol=1e-4)
     clip, source = read_bvh(tmp_path / "stick.bvh").read(), builtin_motion("walking").read()
     knees = clip.axis_angle[:, [J["left_knee"], J["right_knee"]]]
     assert knees[..., 0].max() > 0.8 and knees[..., 0].min() > -0.05
@@ -188,7 +184,7 @@ def test_a_real_walk_on_bones_along_x_is_the_walk(data, within):
     joints = builtin_body("male").joints.astype(np.float64)[:22]
     G = joint_transforms(source.axis_angle, builtin_body("male").joints, source.root)[:, :22]
     axes = stick_axes(joints, mirrored=False, rolls=(0, 0, 0, 0))
-    back = retarget(MadeRig(joints, G[..., :3, :3], G[..., :3, 3], axes)).read()
+    back = retarget(made_rig(joints, G[..., :3, :3], G[..., :3, 3], axes)).read()
     mine = joint_transforms(back.axis_angle, builtin_body("male").joints)[:, :22, :3, :3]
     off = turn_between(G[..., :3, :3], mine)
     within(off[:, [J["pelvis"], J["spine3"], J["head"]]], 1e-3, "degrees")
@@ -202,7 +198,7 @@ def test_a_rig_that_shows_no_sides_is_refused_in_one_line():
     joints, R, at = moving()
     flat = joints * [0, 1, 1]
     places = joint_transforms(np.zeros((4, 52, 3)), np.concatenate([flat, np.zeros((30, 3))]))[:, :22, :3, 3]
-    rig = MadeRig(flat, np.tile(np.eye(3), (4, 22, 1, 1)), places, np.tile(np.eye(3), (22, 1, 1)))
+    rig = made_rig(flat, np.tile(np.eye(3), (4, 22, 1, 1)), places, np.tile(np.eye(3), (22, 1, 1)))
     with pytest.raises(AssetError, match=r"made\.bvh: hips or hips and head rest at the same place"):
         retarget(rig)
 
@@ -219,7 +215,7 @@ def people(data):
 def test_bones_of_real_people_point_where_the_files_bones_point(person, file, people, data, within):
     """It was solved for the built-in man's bones: upper arm 7.4, forearm 5.8, thigh 3.9 degrees off on these."""
     bvh = open_bvh(data / "bvh" / f"{file}.bvh")
-    _, theirs = bvh.transforms(bvh.values(0, min(bvh.frames, 300)))
+    _, theirs = bvh.transforms(np.arange(min(bvh.frames, 300)))
     joints = people[person].astype(np.float64)
     clip = read_bvh(bvh.path, RestSkeleton(joints, 0.95)).read(0, len(theirs))
     G = joint_transforms(clip.axis_angle, joints, clip.root)

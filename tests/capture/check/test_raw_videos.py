@@ -1,4 +1,4 @@
-"""`selfscan check` on videos as filmed: a verdict that says what to do, and JSON."""
+"""What `check` says of videos as they were filmed."""
 
 import json
 
@@ -21,15 +21,14 @@ def test_good_videos_are_usable_as_a_folder_and_as_four_files(filmed_four, tmp_p
     assert find_videos(files) == find_videos([filmed_four])
 
 
-def test_a_hand_that_leaves_the_picture_is_said_with_the_time(filmed_four, tmp_path, capsys):
+def test_a_hand_that_leaves_the_picture_is_said_with_the_time_and_the_body_alone_is_enough(
+    filmed_four, tmp_path, capsys
+):
     film_anew(filmed_four, tmp_path / "me", "hand_left", shift=(0, -66))
     assert main([str(tmp_path / "me")]) == 1
     text = capsys.readouterr().out
     assert "not usable because left.mp4: the left hand leaves the picture at the top from" in text
     assert "film again with it in the middle" in text
-
-
-def test_the_body_alone_is_enough_and_what_it_shows_of_the_others_is_said(filmed_four, capsys):
     assert main([str(filmed_four / "body.mp4")]) == 0
     text = capsys.readouterr().out
     assert "head: no film of its own; body.mp4 shows it about" in text and "hand_right: no film" in text

@@ -14,7 +14,7 @@ from turning_capture import TURN, with_video
 
 from avatar.similarity import similarity_from_landmarks
 from capture.check.coverage import largest_gap, turn_angles
-from capture.check.pictures import blurred, exposure, missing, repeated, sharpness
+from capture.check.pictures import blurred, exposure, repeated, sharpness
 from capture.check.report import examine, examine_part, report_facts
 from capture.check.verdict import verdict
 from selfscan.__main__ import main
@@ -41,7 +41,7 @@ def test_a_sound_capture_is_usable_and_measured(good):
     judged = verdict(good)
     assert judged.usable and judged.line().startswith("usable, but ")
     kinds = {re.sub(r"\d+", "N", f.what) for f in judged.findings}
-    assert kinds == {"N frames only", "a pixel is N mm wide", "an iris is N pixels wide"}, judged.findings
+    assert kinds == {"N frames only", "a pixel is N mm wide"}, judged.findings
     assert good.height == pytest.approx(1.7, abs=0.3)
     assert good.head_scale == pytest.approx(0.5, rel=1e-6)  # painted in half metres
     for name, distance in (("body", 3.3), ("head", 0.7), ("hand_left", 0.5)):
@@ -49,7 +49,6 @@ def test_a_sound_capture_is_usable_and_measured(good):
         assert part.distance == pytest.approx(distance, rel=0.01)
         assert part.mean.iou == 1 and part.mean.edge == 0 and part.outside == 0
         assert part.coverage.gap == pytest.approx(30, abs=3) and part.coverage.seen > 0.85
-        assert part.coverage.histogram.sum() == TURN
     json.dumps(report_facts(good), allow_nan=False)
 
 
@@ -157,7 +156,7 @@ def test_a_frame_blurred_by_a_pixel_is_named_and_no_other(frame):
     assert blurred(sharp) == [frame] and np.isnan(sharp[3])
 
 
-def test_repeated_missing_and_clipped(tmp_path):
+def test_repeated_and_clipped():
     images = np.full((4, 8, 8, 3), 100, np.uint8)
     images[1] += 1
     assert repeated(images) == [3]
@@ -165,9 +164,6 @@ def test_repeated_missing_and_clipped(tmp_path):
     images[0], images[1, :4] = 255, 0
     assert exposure(images, masks) == (0.25, 0.125)
     assert exposure(images, ~masks) == (0, 0)
-    for number in (3, 4, 7):
-        Image.new("L", (1, 1)).save(tmp_path / f"{number:06d}.png")
-    assert missing(tmp_path) == [5, 6]
 
 
 def test_gaps_of_the_turn():
@@ -175,9 +171,8 @@ def test_gaps_of_the_turn():
     assert largest_gap(np.radians([0.0, 90, 180, 270])) == pytest.approx(90)
     assert largest_gap(np.radians([350.0, 10, 100])) == pytest.approx(250)
     front, left = np.array([[0, 0, 1.0]]), np.array([[1.0, 0, 0]])
-    assert turn_angles(front, "body")[0] == 0 and turn_angles(left, "head")[0] == pytest.approx(np.pi / 2)
-    along = [turn_angles(left, hand)[1].item() for hand in ("hand_left", "hand_right")]
-    assert along == pytest.approx([np.pi / 2, -np.pi / 2])
+    assert turn_angles(front, "body") == 0 and turn_angles(left, "head") == pytest.approx(np.pi / 2)
+    assert turn_angles(front, "hand_left") == 0
 
 
 @pytest.fixture(scope="module")
@@ -202,5 +197,7 @@ def test_landmarks_that_determine_nothing_are_refused(folder, capsys):
     content = json.loads(path.read_text())
     points = {name: [0.001 * i, 0, 0] for i, name in enumerate(content["points"])}
     path.write_text(json.dumps(content | {"points": points}))
+    assert main(["check", str(folder), "--keypoints", "x"]) == 1
+    assert "--keypoints: is for videos as filmed" in capsys.readouterr().err
     assert main(["check", str(folder)]) == 1
     assert "landmarks.json: landmarks: the source points lie on a line" in capsys.readouterr().err

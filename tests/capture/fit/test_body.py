@@ -1,23 +1,27 @@
-"""A known person is found again: heading, sides, focal length, poses and shape."""
+"""A known person is found again: heading, sides, focal length, poses and shape, no farther off than clothes stand."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from turning_twin import in_clothes, limb_error, pixels_of, turning_twin
 
 from avatar.rotation import axis_angle_from_matrix
 from capture.fit.body import first_guess, fit_keypoints, fit_outlines
 from capture.fit.directions import opposite
-from capture.fit.offsets import bilaplacian, fit_offsets
+from capture.fit.focal import marginal, weighed
+from capture.fit.offsets import bilaplacian, dressed, fit_offsets
 from capture.fit.outline_term import Outlines
 from capture.fit.person import person_of
 from capture.fit.points import body_points
+from capture.fit.priors import standing
 from capture.fit.refusals import check_fit, check_footage, check_upright
 from capture.fit.scan import STEPS
 from capture.fit.sides import sides_restored
+from capture.fit.standoff import LIMBS, SCALP, body_standoff, scalp_standoff
+from capture.keypoints.record import FACE
 from command.errors import AssetError
 from geometry.mesh import vertex_normals
-from tests.turning_twin import in_clothes, limb_error, pixels_of, turning_twin
 
 QUIET = lambda note: None
 
@@ -114,16 +118,13 @@ def test_outlines_of_somebody_with_hair_and_shoes_do_not_draw_the_person_nearer(
     assert abs((found.root - truth.root)[:, 2].mean()) < 0.03
 
 
-def test_bilaplacian_is_nothing_for_what_is_constant():
+def test_the_bilaplacian_of_constants_is_nothing_and_points_of_the_face_lie_right():
     free = person_of("male").body
     Q = bilaplacian(free.vertices, free.faces)
     assert abs(np.ones(len(free.vertices)) @ Q @ np.ones(len(free.vertices))) < 1e-6
     rng = np.random.default_rng(0)
     rough, smooth = rng.standard_normal(len(free.vertices)), free.vertices[:, 1]
     assert rough @ Q @ rough > 1e3 * (smooth @ Q @ smooth) > 0
-
-
-def test_points_of_the_face_lie_where_they_belong():
     points, free = body_points(), person_of("female").body
     place = lambda name: points[name].place(free.vertices, free.joints)
     assert place("face_45")[0] > place("face_42")[0] > 0 > place("face_39")[0] > place("face_36")[0]
@@ -133,25 +134,82 @@ def test_points_of_the_face_lie_where_they_belong():
     assert place("left_heel")[2] < place("left_ankle")[2] < place("left_big_toe")[2]
 
 
-def test_keypoints_beside_the_person_are_refused():
+def test_keypoints_beside_the_person_pictures_upside_down_and_fits_of_nothing_are_refused(twin):
     _, footage = turning_twin(4, 200, masks=True)
     check_footage("body", footage)
     with pytest.raises(AssetError, match="body video: keypoints should lie on the person of the masks"):
         check_footage("body", replace(footage, masks=np.roll(footage.masks, 80, axis=2)))
-
-
-def test_pictures_upside_down_are_refused(twin):
     check_upright(twin.footage)
     height = twin.footage.size[1]
     turned = replace(twin.footage, pixels=height - twin.footage.pixels)
     with pytest.raises(AssetError, match="upside down"):
         check_upright(turned)
-
-
-def test_a_fit_that_explains_nothing_is_refused_and_a_bad_frame_left_out(twin):
     pixels = twin.footage.pixels.copy()
     pixels[3] += 25
     usable = check_fit("body", twin.truth, replace(twin.footage, pixels=pixels))
     assert not usable[3] and usable.sum() == len(usable) - 1
     with pytest.raises(AssetError, match="body video: keypoints should lie within 6 cm of a person's"):
         check_fit("body", twin.truth, replace(twin.footage, pixels=twin.footage.pixels + 30))
+
+
+def seen_by(truth: float, own: float, doubt: float) -> tuple[float, float]:
+    """What a video finds that alone says `truth` with deviation `own`, and that holds the guess 0."""
+    precision = 1 / own**2 + 1 / doubt**2
+    return truth / own**2 / precision, precision**-0.5
+
+
+def test_the_guess_counts_once_sure_videos_more_and_those_that_contradict_each_other_less():
+    doubt = 0.05
+    found = np.array([seen_by(0.04, 0.05, doubt)] * 4)
+    mean, sigma = weighed(found, doubt)
+    precision = 4 / 0.05**2 + 1 / doubt**2
+    assert mean == pytest.approx(0.04 * 4 / 0.05**2 / precision)
+    assert sigma == pytest.approx(precision**-0.5)
+    sure, vague, blind = seen_by(0.02, 0.01, 0.1), seen_by(-0.06, 0.04, 0.1), (0.0, 0.1)
+    mean, sigma = weighed(np.array([sure, vague, blind]), 0.1)
+    assert mean == pytest.approx((0.02 / 0.01**2 - 0.06 / 0.04**2) / (1 / 0.01**2 + 1 / 0.04**2 + 1 / 0.1**2))
+    assert sigma >= (1 / 0.01**2 + 1 / 0.04**2 + 1 / 0.1**2) ** -0.5
+    agreeing = np.array([seen_by(0.01, 0.01, 0.1)] * 3)
+    apart = np.array([seen_by(value, 0.01, 0.1) for value in (-0.05, 0.01, 0.07)])
+    assert weighed(apart, 0.1)[1] > 3 * weighed(agreeing, 0.1)[1]
+
+
+@pytest.mark.slow
+def test_doubt_is_what_other_noise_would_change():
+    """The marginal's deviation beside the spread over draws of the noise."""
+    truth, footage = turning_twin(8, 256, focal_error=0.05)
+    found, doubts = [], []
+    for seed in range(4):
+        noise = 0.5 * np.random.default_rng(seed).standard_normal(footage.pixels.shape)
+        estimate, seen = fit_keypoints(truth.person, replace(footage, pixels=footage.pixels + noise), lambda note: None)
+        found.append(estimate.log_focal)
+        doubts.append(marginal(estimate, seen, standing(estimate, seen)))
+    assert 0.2 < np.std(found, ddof=1) / np.mean(doubts) < 2
+
+
+def test_outlines_move_no_point_of_the_face_and_no_hand_or_neck_by_the_bodys_video():
+    points = body_points()
+    face = [vertex for name in (*FACE, "left_ear", "right_ear") for vertex in points[name].vertices if name in points]
+    assert (scalp_standoff()[face] == 0).all() and (body_standoff()[face] == 0).all()
+    assert scalp_standoff().max() == SCALP and (scalp_standoff() > 0).sum() > 200
+    tips = [vertex for name, point in points.items() if name.endswith("_tip") for vertex in point.vertices]
+    assert (body_standoff()[tips] == 0).all()
+
+
+def test_a_wide_skirt_is_not_filled_by_the_legs():
+    truth, footage = turning_twin(6, 200, seed=1)
+    vertices = truth.person.vertices(truth.g)
+    normals = vertex_normals(vertices, truth.person.body.faces)
+    # 15 cm off the thighs, all round, nothing elsewhere
+    thighs = (vertices[:, 1] < -0.12) & (vertices[:, 1] > -0.45) & (np.abs(vertices[:, 0]) < 0.35)
+    footage = in_clothes(truth, footage, np.where(thighs, 0.15, 0.0))
+    bare = replace(truth, person=truth.person.with_offsets(0 * normals))
+
+    def found(standoff):
+        every = np.ones(len(normals), bool) if standoff is None else standoff > 0
+        offsets = dressed(bare, footage, Outlines(footage, standoff), every).person.offsets
+        return np.abs((offsets * normals).sum(1))
+
+    own, free = found(body_standoff()), found(None)
+    assert own[thighs].max() <= LIMBS + 1e-9 and np.median(own[thighs]) < 0.015
+    assert np.median(free[thighs]) > 1.5 * np.median(own[thighs])

@@ -1,22 +1,25 @@
-"""A hand and a head that turn before a camera, and a pose in one picture, are found again from their points."""
+"""A hand and a head that turn before a camera are found again from their points; derivatives by differences."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from avatar.kinematics import pose_rows, posed, shape_rows, skinned
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
-from capture.fit import hand, head, stored
+from capture.fit import hand, head
 from capture.fit.body import CUTS, MOVING, body_names
+from capture.fit.contours import Silhouette
 from capture.fit.footage import Estimate
+from capture.fit.outline_term import Outlines
 from capture.fit.person import person_of
 from capture.fit.picture import fit_pose
+from capture.fit.priors import shared_layout, standing
 from capture.fit.scan import STEPS, template_of
-from capture.fit.solve import posed_frames, solve
-from capture.fit.stored import FIELDS, estimate_fields, estimate_of, fingerprint, read_step, write_step
+from capture.fit.solve import assemble, moved, posed_frames, solve
 from capture.keypoints.record import Keypoints
-from tests.turning_twin import in_clothes, pictured
+from tests.turning_twin import in_clothes, pictured, turning_twin
 
 FRAMES, SIZE = 16, 400
 
@@ -28,7 +31,7 @@ def shown(truth, names, moving):
     return truth, replace(footage, pixels=footage.pixels + noise, sure=2 * footage.sure)
 
 
-def posed(person, root, heading, angles):
+def truth_of(person, root, heading, angles):
     """The truth of frames of a person of the free body's shape."""
     return Estimate(person, np.zeros(len(person.sigma)), np.zeros((1, 3)), 0.0, angles[0], root, heading, angles)
 
@@ -47,7 +50,7 @@ def turned_hand(side):
     heading = matrix_from_axis_angle(roll[:, None] * [0, 1.0, 0]) @ up
     angles = np.zeros((FRAMES, 52, 3))
     angles[:, hand.hand_joints(side)[1:], 0] = np.radians(12)
-    truth = posed(person, np.array([0, 0, -0.5]) - heading @ wrist, heading, angles)
+    truth = truth_of(person, np.array([0, 0, -0.5]) - heading @ wrist, heading, angles)
     return shown(truth, hand.hand_names(side)[:-1], hand.hand_joints(side))
 
 
@@ -82,7 +85,7 @@ def test_head_is_followed_through_frames_that_show_no_face():
     turn = 2 * np.pi * np.arange(FRAMES) / FRAMES
     heading = matrix_from_axis_angle(turn[:, None] * [0, 1.0, 0])
     neck = person.body.joints[head.HEAD]
-    truth = posed(person, np.array([0, 0, -0.7]) - heading @ neck, heading, np.zeros((FRAMES, 52, 3)))
+    truth = truth_of(person, np.array([0, 0, -0.7]) - heading @ neck, heading, np.zeros((FRAMES, 52, 3)))
     truth, footage = shown(truth, head.NAMES, np.zeros(0, np.int64))
     behind = np.cos(turn) < -0.3
     footage = replace(footage, sure=np.where(behind[:, None], 0.0, footage.sure))
@@ -105,7 +108,7 @@ def in_one_picture(thickness=0.0):
         angles[0, JOINTS.index(f"{side}_elbow"), 0] = np.radians(70)
     angles[0, JOINTS.index("left_hip"), 0] = angles[0, JOINTS.index("left_knee"), 0] = np.radians(60)
     heading = matrix_from_axis_angle(np.array([[0, np.radians(30), 0]]))
-    truth = posed(person_of("male"), np.array([[0.1, 0.1, -3.5]]), heading, angles)
+    truth = truth_of(person_of("male"), np.array([[0.1, 0.1, -3.5]]), heading, angles)
     truth, footage = shown(truth, body_names(), MOVING)
     seen = Keypoints(footage.names, footage.pixels, np.ones_like(footage.sure), footage.size)
     return truth, seen, in_clothes(truth, footage, thickness).masks[0], footage.focal
@@ -130,19 +133,70 @@ def test_clothes_that_the_template_lacks_do_not_draw_it_nearer_to_one_picture():
     assert abs((ours - theirs)[:, 2].mean()) < 0.06
 
 
-def test_a_finished_step_is_read_back_for_the_same_video_alone(tmp_path, monkeypatch):
-    person = person_of("male")
-    truth = posed(person, np.tile([0, 0, -3.0], (2, 1)), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 52, 3)))
-    truth, footage = shown(replace(truth, log_focal=0.1), body_names(), MOVING)
-    inputs = fingerprint(footage, "male")
-    write_step(tmp_path / "body.npz", estimate_fields(truth), inputs)
-    kept = read_step(tmp_path / "body.npz", FIELDS, inputs)
-    assert kept is not None
-    again = estimate_of(kept, person)
-    assert again.log_focal == 0.1
-    np.testing.assert_array_equal(again.root, truth.root)
-    assert read_step(tmp_path / "body.npz", FIELDS, fingerprint(footage, "female")) is None
-    assert read_step(tmp_path / "head.npz", FIELDS, inputs) is None
-    # another method may answer otherwise
-    monkeypatch.setattr(stored, "METHOD", stored.METHOD + 1)
-    assert read_step(tmp_path / "body.npz", FIELDS, fingerprint(footage, "male")) is None
+def gradient_of(estimate, footage, priors, terms, own, shared):
+    """Slope of half the cost along a step: from differences, and as the equations tell."""
+    equations = assemble(estimate, footage, priors, 1e6, terms)[0]
+    told = -((equations.b * own).sum() + (equations.b_shared * shared).sum())
+    h = 1e-6
+    ahead, behind = (
+        assemble(moved(estimate, footage, s * h * own, s * h * shared), footage, priors, 1e6, terms)[1] for s in (1, -1)
+    )
+    return 0.5 * (ahead - behind) / (2 * h), told
+
+
+@pytest.mark.parametrize("what", ["root", "pelvis", "angles", "g", "bias", "focal", "mean"])
+def test_cost_changes_as_the_equations_say(what):
+    rng = np.random.default_rng(3)
+    truth, footage = turning_twin(5)
+    # smooth turns are weighed robustly, which the equations take as fixed
+    priors = replace(standing(truth, footage), smooth_heading=1e3)
+    estimate = replace(truth, angles=truth.angles + rng.normal(0, 0.1, truth.angles.shape),
+                       bias=rng.normal(0, 0.01, truth.bias.shape), log_focal=0.03)  # fmt: skip
+    chosen = rng.integers(0, len(truth.person.body.vertices), 40)
+    normals = rng.standard_normal((40, 2))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    pairs = [Silhouette(chosen, rng.uniform(90, 160, (40, 2)), normals)] * 5
+    outlines = Outlines(footage)
+    layout = shared_layout(estimate, footage)
+    own, shared = np.zeros((5, 6 + 3 * len(footage.moving))), np.zeros(layout.count)
+    where = {"root": slice(0, 3), "pelvis": slice(3, 6), "angles": slice(6, None)}
+    if what in where:
+        own[:, where[what]] = rng.standard_normal(own[:, where[what]].shape)
+    else:
+        at = {"g": layout.g, "bias": layout.bias, "focal": layout.focal, "mean": layout.mean}[what]
+        shared[at] = rng.standard_normal(np.shape(shared[at]))
+    # outlines are robust as well: their pairs stay within the flat part of the weight only for a tiny weight
+    for terms, tolerance in (((), 1e-4), ((outlines.term(pairs, 1e-9),), 1e-4)):
+        seen, told = gradient_of(estimate, footage, priors, terms, own, shared)
+        assert told == pytest.approx(seen, rel=tolerance)
+
+
+def test_an_outline_none_of_whose_points_is_near_says_nothing():
+    estimate, footage = turning_twin(3)
+    priors = standing(estimate, footage)
+    nothing = Silhouette(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+    cost = assemble(estimate, footage, priors, 1e6, ())[1]
+    equations, with_outline = assemble(estimate, footage, priors, 1e6, (Outlines(footage).term([nothing] * 3, 1.0),))
+    assert with_outline == cost
+    assert np.isfinite(equations.solve(1.0)[0]).all()
+
+
+def test_points_of_the_skin_move_with_pose_and_shape_as_told():
+    rng = np.random.default_rng(1)
+    truth, footage = turning_twin(3)
+    vertices = rng.integers(0, len(truth.person.body.vertices), 30)
+    c = rng.standard_normal((30, 3))
+
+    def at(estimate):
+        points = estimate.skin(vertices)
+        frame = posed(estimate.skeleton(), estimate.root[1], estimate.heading[1], estimate.angles[1])
+        return frame, points, (c * skinned(frame, points)).sum(1)
+
+    frame, points, _ = at(truth)
+    rows = pose_rows(frame, points, c, footage.turning), shape_rows(frame, points, c)
+    layout = shared_layout(truth, footage)
+    own, shared = np.zeros((3, rows[0].shape[1])), np.zeros(layout.count)
+    own[1], shared[layout.g] = rng.standard_normal(rows[0].shape[1]), rng.standard_normal(rows[1].shape[1])
+    ahead, behind = (at(moved(truth, footage, s * 1e-6 * own, s * 1e-6 * shared))[2] for s in (1, -1))
+    expected = rows[0] @ own[1] + rows[1] @ shared[layout.g]
+    np.testing.assert_allclose((ahead - behind) / 2e-6, expected, rtol=1e-5, atol=1e-6)

@@ -69,15 +69,6 @@ def write_results(path, points, unseen):
     return path
 
 
-def write_annotations(path, points, unseen):
-    people = []
-    for frame, flat in wholebody(points, unseen):
-        parts = zip(coco_wholebody.GROUPS, np.split(flat, [17, 23, 91, 112]), strict=True)
-        people.append({"image_id": frame, **{key: part.ravel().tolist() for (key, _), part in parts}})
-    path.write_text(json.dumps({"images": [], "annotations": people}))
-    return path
-
-
 def write_mediapipe(path, points, unseen, told=True):
     frames = []
     for frame in range(FRAMES):
@@ -104,7 +95,6 @@ WRITERS = {
     "openpose": (write_openpose, openpose.NAMES),
     "mmpose": (write_mmpose, coco_wholebody.NAMES),
     "results": (write_results, coco_wholebody.NAMES),
-    "annotations": (write_annotations, coco_wholebody.NAMES),
     "mediapipe": (write_mediapipe, mediapipe.NAMES),
 }
 
@@ -137,18 +127,24 @@ def test_left_is_the_persons_left_and_the_orders_are_the_published_ones():
     assert mediapipe.POSE[11] == "left_shoulder" and mediapipe.POSE[28] == "right_ankle" and len(mediapipe.POSE) == 33
 
 
-def test_of_several_people_the_largest_is_taken_and_an_empty_frame_is_unseen_and_both_are_said(tmp_path):
+def test_of_several_people_the_largest_is_taken_and_an_empty_frame_is_unseen(tmp_path):
     alone = read_keypoints(write_openpose(tmp_path / "one", *truth()))
     found = read_keypoints(write_openpose(tmp_path / "three", *truth(), people=3))
     np.testing.assert_allclose(found.pixels, alone.pixels)
-    assert any("several in a frame, the largest" in note for note in found.notes) and not alone.notes
+    assert (found.others > 0).all() and not alone.others.any()
     (tmp_path / "one" / "me_000000000001_keypoints.json").write_text('{"people": []}')
     found = read_keypoints(tmp_path / "one")
     assert (found.confidence[1] == 0).all() and np.isnan(found.pixels[1]).all() and (found.confidence[0] > 0).any()
-    assert "no person in 1 of 3 frames" in found.notes
 
 
-def test_parts_of_a_picture_need_its_size(tmp_path):
+def test_parts_of_a_picture_need_its_size_and_a_folder_of_nothing_is_refused(tmp_path):
+    with pytest.raises(AssetError, match=r"expected keypoints .*found none"):
+        read_keypoints(tmp_path)
+    write_mediapipe(tmp_path / "0.json", *truth())
+    assert len(read_keypoints(tmp_path).pixels) == FRAMES
+    write_mediapipe(tmp_path / "1.json", *truth())
+    with pytest.raises(AssetError, match="expected all frames of MediaPipe in one file, found 2 files"):
+        read_keypoints(tmp_path)
     path = write_mediapipe(tmp_path / "a.json", *truth(), told=False)
     with pytest.raises(AssetError, match="a picture of unknown size"):
         read_keypoints(path)
@@ -220,16 +216,6 @@ def test_a_face_of_mediapipe_gives_the_68_points(data, tmp_path):
     # eyes and lips go round: outer corners, and upper before lower
     assert x[36] < x[39] < x[42] < x[45] and y[37] < y[41] and y[43] < y[47]
     assert x[48] == x[48:].min() and x[54] == x[48:].max() and y[51] < y[62] < y[66] < y[57]
-
-
-def test_a_folder_of_nothing_and_one_with_a_file_of_mediapipe_for_each_frame_are_refused(tmp_path):
-    with pytest.raises(AssetError, match=r"expected keypoints .*found none"):
-        read_keypoints(tmp_path)
-    write_mediapipe(tmp_path / "0.json", *truth())
-    assert len(read_keypoints(tmp_path).pixels) == FRAMES
-    write_mediapipe(tmp_path / "1.json", *truth())
-    with pytest.raises(AssetError, match="expected all frames of MediaPipe in one file, found 2 files"):
-        read_keypoints(tmp_path)
 
 
 def test_results_of_mediapipes_tasks_are_written_as_its_files_and_read_back(tmp_path):

@@ -1,19 +1,23 @@
 """Videos of a painted figure: read, judged, frames chosen, masks against the truth."""
 
+import pickle
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from filmed_figure import ABSENT, FRAMES, SIZE, film, wall
-from tiny_film import film as small_film
+from pictures import film as small_film
+from PIL import Image
 
+from capture.keypoints.record import Keypoints
 from capture.raw.four_videos import part_keypoints
 from capture.raw.glance import glance
 from capture.raw.judge import judge
 from capture.raw.limbs import hull, lines
 from capture.raw.masks import soft_mask
 from capture.raw.plate import plate_of_empty, plate_of_free
+from capture.raw.scan import RawScan, RawVideo
 from capture.raw.selection import movement, select
 from capture.raw.video_file import EQUIVALENT, open_video, read_frames
 from command.errors import AssetError
@@ -72,14 +76,10 @@ def test_the_lens_is_read_from_what_the_phone_wrote(tmp_path, written, focal):
     assert open_video(path).focal == (None if focal is None else pytest.approx(focal))
 
 
-def test_the_empty_second_is_found_and_nothing_is_wrong(body):
+def test_the_empty_second_is_found_and_chosen_frames_are_even_over_the_turn_and_sharp(body):
     at = body[2]
     assert at.empty[: ABSENT - 12].all() and not at.empty[ABSENT - 5 :].any()
     assert not [problem for problem in at.problems if problem.fatal], at.problems
-
-
-def test_chosen_frames_are_even_over_the_turn_and_sharp(body):
-    at = body[2]
     chosen = select(at, 20)
     assert 15 <= len(chosen.frames) <= 20
     assert chosen.frames.min() >= ABSENT and not {40, 41} & set(chosen.frames.tolist())
@@ -168,34 +168,63 @@ def test_a_part_that_is_lost_beyond_the_border_counts_as_cut_off(body):
     assert "at the right from 2." in what and what.endswith("s on"), what
 
 
-def test_without_an_empty_second_there_is_advice_and_no_refusal(tmp_path):
+def test_the_other_hand_and_keypoints_of_other_videos_are_found(tmp_path):
+    film(tmp_path, "hand_right", "left")
+    at = judged(tmp_path, "hand_left", "left", keypoints_of="hand_right")
+    assert "the left hand is confidently found in 0 of" in said(at) and "exchange LEFT and RIGHT" in said(at)
+    film(tmp_path, "body", "body")
+    film(tmp_path, "body", "other", shift=(-95, 0))
+    at = judged(tmp_path)
+    assert "of the keypoints lie where the picture differs" in said(at) or "leaves the picture" in said(at)
     film(tmp_path, "body", "body", empty=False)
     at = judged(tmp_path)
     assert not at.empty.any()
     assert [(problem.fatal, problem.what) for problem in at.problems] == [(False, "the empty room is in no frame")]
 
 
-def test_the_other_hand_is_told(tmp_path):
-    film(tmp_path, "hand_right", "left")
-    at = judged(tmp_path, "hand_left", "left", keypoints_of="hand_right")
-    assert "the left hand is confidently found in 0 of" in said(at) and "exchange LEFT and RIGHT" in said(at)
-
-
-def test_keypoints_of_another_video_do_not_lie_on_the_person(tmp_path):
-    film(tmp_path, "body", "body")
-    film(tmp_path, "body", "other", shift=(-95, 0))
-    at = judged(tmp_path)
-    assert "of the keypoints lie where the picture differs" in said(at) or "leaves the picture" in said(at)
-
-
-def test_keypoints_of_another_length_are_refused(body, tmp_path):
+def test_keypoints_of_another_length_are_refused_and_a_frame_without_points_may_show_anyone(body, tmp_path):
     at = body[2]
     points = at.glance.keypoints.of_frames(np.arange(50))
     with pytest.raises(AssetError, match="the video has 90 frames, its keypoints 50"):
         glance(at.glance.video, "body", points, Progress("looking", 9))
-
-
-def test_a_frame_without_points_may_show_the_person_anywhere(body):
     points = body[2].glance.keypoints.of_frames(np.arange(2))
     assert hull(points, 0, (90, 120)).all() and hull(points, 0, (90, 120)).shape == (90, 120)
     assert not lines(points, 0, (90, 120)).any()
+
+
+def video(folder, frames=3, size=(32, 24), part="body"):
+    """Frames whose red counts them."""
+    pictures = []
+    for i in range(frames):
+        pictures.append(folder / f"{i:06d}.png")
+        Image.fromarray(np.full((size[1], size[0], 3), (i, 0, 7), np.uint8)).save(pictures[-1])
+    keypoints = Keypoints(("nose",), np.full((frames, 1, 2), np.nan), np.zeros((frames, 1)), size)
+    masks = np.zeros((frames, size[1], size[0]), np.uint8)
+    return RawVideo(part, size, 30.0, 10 * np.arange(frames), tuple(pictures), masks, keypoints, None)
+
+
+def test_a_scan_has_the_bodys_video_and_reads_pictures_of_its_size_when_asked_for(tmp_path):
+    raw = video(tmp_path)
+    assert [raw.picture(i)[0, 0].tolist() for i in (2, 0)] == [[2, 0, 7], [0, 0, 7]]
+    # none is held: what travels to a worker is names, masks and points
+    assert len(pickle.dumps(raw)) < raw.masks.nbytes + 3000
+    Image.new("RGB", (24, 32)).save(raw.pictures[1])
+    with pytest.raises(AssetError, match=r"000001\.png: should be \(32, 24\) pixels as the video, is \(24, 32\)"):
+        raw.picture(1)
+    assert set(RawScan({"body": raw}).videos) == {"body"}
+    with pytest.raises(ValueError, match="the body's among them"):
+        RawScan(dict.fromkeys(("head", "hand_left"), raw))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("part", "left_hand", "part should be one of"),
+        ("pictures", (), "should be 3 as frames, are .0, 3, 3."),
+        ("size", (24, 32), r"masks should be \(24, 32\) pixels"),
+    ],
+)
+def test_fields_that_disagree_are_refused(tmp_path, field, value, said):
+    raw = video(tmp_path)
+    with pytest.raises(ValueError, match=said):
+        RawVideo(**(vars(raw) | {field: value}))

@@ -23,11 +23,12 @@ from capture.folder import read_capture
 from capture.read.easymocap import import_easymocap
 from capture.read.opencv_yaml import read_opencv_yaml
 from command.errors import AssetError
+from selfscan.__main__ import main
 
 
 def imported(own, out, body, **changes):
     paths = {"source": own.root, "head": own.head, "landmarks": own.landmarks, "masks": own.masks} | changes
-    return import_easymocap(paths.pop("source"), out, body=body, **paths)
+    return import_easymocap(paths.pop("source"), out, body=body, most=100, **paths)
 
 
 @pytest.fixture
@@ -51,6 +52,14 @@ def test_own_videos_become_the_capture_that_they_were_written_from(own, source, 
     assert "not redistributable" in found.facts["body_licence"]
     assert any("mean added" in note for note in notes)
     assert any(note.startswith("landmarks: 1") and "0.00 pixels" in note and "0.0 mm" in note for note in notes)
+
+
+def test_own_videos_are_imported_by_the_command(own, source, model, tmp_path, capsys):
+    words = ["import", "easymocap", str(own.root), str(tmp_path / "out"), "--body", str(model), "--head", str(own.head),
+             "--landmarks", str(own.landmarks), "--masks", str(own.masks), "--frames", "2"]  # fmt: skip
+    assert main(words) == 0
+    assert "body: 2 of 3 frames, 000500 to 000502" in capsys.readouterr().out
+    assert not (tmp_path / "out/body/images/000002.png").exists()
 
 
 @pytest.mark.parametrize("hands", ["pca", "old", "full"])
@@ -121,7 +130,7 @@ def test_a_hand_of_another_shape_keeps_its_wrist(damaged, body, tmp_path):
 
 
 def test_a_model_in_text_and_annots_and_rodrigues_are_read_alike(source, damaged, body, tmp_path):
-    head = write_colmap(source, tmp_path / "text", binary=False, model="OPENCV")
+    head = write_colmap(source, tmp_path / "opencv", model="OPENCV")
     for file in sorted((damaged.root / "body/smpl").iterdir()):
         file.write_text(json.dumps({"annots": json.loads(file.read_text())}))
     (damaged.root / "hand_left/output/smpl").mkdir(parents=True)
@@ -164,7 +173,7 @@ def swap_sides(pixels):
 
 
 def metres_to_millimetres(own):
-    _, matrices = read_opencv_yaml(own.root / "hand_left/extri.yml")
+    matrices = read_opencv_yaml(own.root / "hand_left/extri.yml")
     text = (own.root / "hand_left/extri.yml").read_text().split("T_01:")[0]
     (own.root / "hand_left/extri.yml").write_text(text + opencv_matrix("T_01", 1000 * matrices["T_01"]))
 
@@ -188,7 +197,7 @@ BAD = {
     ),
     "head frames of another size": (
         lambda o: Image.new("RGB", (30, 32)).save(o.root / "head/images/000001.png"),
-        r"head/images/000001\.png: should be \(32, 32\) pixels as COLMAP's camera, is \(30, 32\)",
+        r"head/images/000001\.png: should be \(32, 32\) pixels as its camera .* is \(30, 32\)",
     ),
     "another video's model": (
         lambda o: [p.rename(p.with_name(f"x{p.name}")) for p in sorted((o.root / "head/images").iterdir())],

@@ -12,10 +12,11 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
 from avatar.skinning import dense_weights
 from capture.folder import read_capture
-from capture.read.folder import anchored, chosen_frames, read_mask
-from capture.read.totalselfscan import AUTHORS_FRAMES, import_totalselfscan
+from capture.read.folder import anchored, read_mask
+from capture.read.totalselfscan import _frames_of, import_totalselfscan
 from command.errors import AssetError
 from files.npz import read_npy
+from selfscan.__main__ import main
 
 
 @pytest.fixture
@@ -39,19 +40,27 @@ def refused(root, tmp_path, body, match):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_authors_folder_becomes_the_capture_that_it_was_written_from(authors, source, body, tmp_path):
-    notes = import_totalselfscan(authors, tmp_path / "out", body=body)
+def test_the_authors_folder_becomes_the_capture_that_it_was_written_from(
+    authors, source, model, body, tmp_path, capsys
+):
+    assert main(["import", "totalselfscan", str(authors), str(tmp_path / "out"), "--body", str(model)]) == 0
+    printed = capsys.readouterr().out
+    assert "skin weights: of model" in printed and "selfscan check" in printed and "3 of 3 frames" in printed
     found = assert_same_capture(tmp_path / "out", source)
     assert_same_head(found, source)
     assert "not redistributable" in found.facts["body_licence"] and body.name in found.facts["body_licence"]
-    assert found.facts["subject"] == "male-anna" and found.facts["notes"] == notes
+    assert found.facts["subject"] == "male-anna" and all(note in printed for note in found.facts["notes"])
     known = json.loads((tmp_path / "out/head/landmarks.json").read_text())
     assert len(known["points"]) >= 12
     for name, vertex in known["vertices"].items():
         np.testing.assert_allclose(known["points"][name], source.subject.vertices[vertex] + J0, atol=1e-7)
 
 
-def test_without_a_model_the_weights_come_from_the_grid(damaged, source, tmp_path):
+def test_without_a_model_the_weights_come_from_the_grid_and_one_of_another_margin_is_refused(damaged, source, tmp_path):
+    write_weight_grid(source, damaged / "lbs/bigpose_bw.npy")
+    grid = np.load(damaged / "lbs/bigpose_bw.npy")
+    numbers(damaged / "lbs/bigpose_bw.npy", grid[3:-3])
+    refused(damaged, tmp_path, None, r"bigpose_bw\.npy: expected about .* found")
     write_weight_grid(source, damaged / "lbs/bigpose_bw.npy")
     notes = import_totalselfscan(damaged, tmp_path / "out")
     found = read_capture(tmp_path / "out").subject
@@ -61,13 +70,6 @@ def test_without_a_model_the_weights_come_from_the_grid(damaged, source, tmp_pat
     away_from_hands = source.subject.part < 2
     assert np.median(apart[away_from_hands]) < 0.08  # a grid of 25 mm blurs; the nearest joint alone is .5 off
     assert (found.part != source.subject.part).mean() < 0.02
-
-
-def test_a_grid_of_another_margin_is_refused(damaged, source, tmp_path):
-    write_weight_grid(source, damaged / "lbs/bigpose_bw.npy")
-    grid = np.load(damaged / "lbs/bigpose_bw.npy")
-    numbers(damaged / "lbs/bigpose_bw.npy", grid[3:-3])
-    refused(damaged, tmp_path, None, r"bigpose_bw\.npy: expected about .* found")
 
 
 @pytest.mark.parametrize("folder, factor, unit", [(".", 1e-3, "millimetres"), ("hand/handl", 1e3, "metres")])
@@ -102,16 +104,10 @@ def test_frame_remove_leaves_out_half_open_ranges_of_indices(damaged, source, tm
     assert "hand_left: 1 frames left out by frame_remove.json" in notes
 
 
-def test_frames_are_the_authors_where_the_video_is_as_long_and_the_users_where_given(authors, tmp_path, body):
-    start, step, number = AUTHORS_FRAMES["body"]
-    frames = chosen_frames(1400, 100, AUTHORS_FRAMES["body"], "video")
-    assert (frames[0], frames[-1], len(frames)) == (start, start + step * (number - 1), number) == (500, 1390, 90)
-    assert chosen_frames(1000, 4, None, "video").tolist() == [0, 333, 666, 999]
-    with pytest.raises(AssetError, match=r"video: frame 6 is chosen .* has 5"):
-        chosen_frames(5, 100, (0, 2, 4), "video")
-    import_totalselfscan(authors, tmp_path / "out", body=body, select={"body": (1, 1, 2), "head": (0, 2, 2)})
-    found = read_capture(tmp_path / "out")
-    assert [len(found.videos[part].images) for part in ("body", "head", "hand_left")] == [2, 2, 3]
+def test_frames_are_the_authors_where_the_video_is_as_long_else_evenly_spread():
+    frames = _frames_of(1400, "body", 100, [])
+    assert (frames[0], frames[-1], len(frames)) == (500, 1390, 90)
+    assert _frames_of(1000, "body", 4, []).tolist() == [0, 333, 666, 999]
 
 
 def test_masks_are_labels_or_0_and_1_and_jpeg_rings_are_no_person(tmp_path):

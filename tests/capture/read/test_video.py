@@ -1,6 +1,7 @@
-"""Four videos of a painted figure become a capture folder; the fit is a stand-in that knows nothing of them."""
+"""Four videos of a painted figure become a capture folder; one of the body alone gives head and hands."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,15 +10,22 @@ from PIL import Image
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, pinhole, project
-from avatar.skeleton import PARTS
+from avatar.skeleton import PARTS, skin_transforms
+from avatar.skinning import skin_points
+from capture.fit.points import body_points
+from capture.fit.scan import LANDMARKS, carried, posed_video, template_of
 from capture.folder import read_capture
-from capture.raw.scan import FittedScan, FittedVideo
+from capture.keypoints.record import Keypoints
+from capture.raw.scan import FittedScan, FittedVideo, RawVideo
 from capture.read.close_up import UNKNOWN, PartMasks
+from capture.read.from_body import LEAST, cut_close_up
 from capture.read.places import landmark_vertices
 from capture.read.template import body_template
 from capture.read.video import VideoImport, import_video
 from command.errors import AssetError
+from files.picture import read_picture
 from selfscan.__main__ import main
+from tests.turning_twin import in_clothes, turning_twin
 
 
 def given(folder, **changed):
@@ -27,7 +35,7 @@ def given(folder, **changed):
 
 TEMPLATE = body_template(builtin_body("male"))
 PLACES = landmark_vertices(TEMPLATE.vertices, TEMPLATE.part == 1)
-LANDMARKS = {name: (TEMPLATE.vertices[v], v) for name, v in PLACES.items()}
+MARKS = {name: (TEMPLATE.vertices[v], v) for name, v in PLACES.items()}
 
 
 def before(part, size, fov, count=1, left_out=()):
@@ -38,15 +46,15 @@ def before(part, size, fov, count=1, left_out=()):
     return FittedVideo((camera,) * count, *poses, ~np.isin(np.arange(count), left_out))
 
 
-def stand_in(scan, work, left_out=()):
+def stand_in(scan, left_out=()):
     """A template and cameras of the right kind."""
     videos = {part: before(part, raw.size, 0.6, len(raw.frames), left_out) for part, raw in scan.videos.items()}
-    return FittedScan(TEMPLATE, videos, LANDMARKS, ("fitted by a stand-in",))
+    return FittedScan(TEMPLATE, videos, MARKS, ("fitted by a stand-in",))
 
 
 def test_a_capture_is_written_whole_with_soft_rims_and_its_origin(filmed_four, tmp_path):
     out = tmp_path / "capture"
-    notes = import_video(given(filmed_four), out, lambda scan, work: stand_in(scan, work, left_out=(2,)))
+    notes = import_video(given(filmed_four), out, lambda scan: stand_in(scan, left_out=(2,)))
     capture = read_capture(out)
     assert capture.facts["input"] == "from_pixels" and capture.facts["body_licence"].startswith("CC0")
     for part in PARTS:
@@ -66,7 +74,7 @@ def test_the_rest_of_the_person_is_unknown_in_a_close_up(part):
     camera = fit.cameras[0]
     mask = np.full((90, 120), 255, np.uint8)
     mask[:, :20] = 0
-    found = PartMasks(TEMPLATE, part, LANDMARKS).mask(mask, camera, fit, 0)
+    found = PartMasks(TEMPLATE, part, MARKS).mask(mask, camera, fit, 0)
     assert (found[:, :20] == 0).all()
     pixels, _ = project(camera, members)
     x, y = np.floor(pixels).astype(int).T
@@ -84,7 +92,7 @@ def test_the_rest_of_the_person_is_unknown_in_a_close_up(part):
 def test_what_was_interrupted_goes_on_and_other_input_begins_anew(filmed_four, tmp_path, capsys):
     out = tmp_path / "capture"
 
-    def stopped(scan, work):
+    def stopped(scan):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -102,19 +110,22 @@ def test_what_was_interrupted_goes_on_and_other_input_begins_anew(filmed_four, t
     assert len(list(work.rglob("*.png"))) == 2 * 4 * 6
 
 
-def test_a_folder_of_somebody_elses_is_left_alone(filmed_four, tmp_path):
+def test_folders_of_others_bad_videos_and_keypoints_of_three_stop_before_anything_is_fitted(filmed_four, tmp_path):
+    film_anew(filmed_four, tmp_path / "me", "body", second=True)
+    with pytest.raises(AssetError, match=r"body\.mp4: two people are in view"):
+        import_video(given(tmp_path / "me"), tmp_path / "capture", lambda scan: pytest.fail("fitted"))
+    assert not list(tmp_path.glob("capture*"))
     (tmp_path / "capture.partial").mkdir()
     (tmp_path / "capture.partial" / "diary.txt").write_text("mine")
     with pytest.raises(AssetError, match=r"capture\.partial: is in the way"):
         import_video(given(filmed_four), tmp_path / "capture", stand_in)
     assert (tmp_path / "capture.partial" / "diary.txt").read_text() == "mine"
-
-
-def test_bad_videos_stop_before_anything_is_fitted(filmed_four, tmp_path):
-    film_anew(filmed_four, tmp_path / "me", "body", second=True)
-    with pytest.raises(AssetError, match=r"body\.mp4: two people are in view"):
-        import_video(given(tmp_path / "me"), tmp_path / "capture", lambda scan, work: pytest.fail("fitted"))
-    assert not list(tmp_path.glob("capture*"))
+    points = tmp_path / "keypoints"
+    points.mkdir()
+    for part in PARTS[:3]:
+        (points / f"{part}.json").write_text((filmed_four / "keypoints" / f"{part}.json").read_text())
+    with pytest.raises(AssetError, match=r"hand_right: expected keypoints .* found nothing of right\.mp4"):
+        import_video(VideoImport(given(filmed_four).videos, points), tmp_path / "capture1", stand_in)
 
 
 @pytest.mark.slow
@@ -136,18 +147,62 @@ def test_masks_of_another_tool_are_taken_as_they_are(filmed_four, tmp_path):
         import_video(given(filmed_four, masks=masks), tmp_path / "again", stand_in)
 
 
-def test_keypoints_of_three_videos_are_not_enough(filmed_four, tmp_path):
-    points = tmp_path / "keypoints"
-    points.mkdir()
-    for part in PARTS[:3]:
-        (points / f"{part}.json").write_text((filmed_four / "keypoints" / f"{part}.json").read_text())
-    with pytest.raises(AssetError, match=r"hand_right: expected keypoints .* found nothing of right\.mp4"):
-        import_video(VideoImport(given(filmed_four).videos, points), tmp_path / "capture", stand_in)
-
-
 def test_the_command_wants_films_whose_names_say_the_part(filmed_four, tmp_path, capsys):
     some = [str(filmed_four / "body.mp4"), str(filmed_four / "IMG_7.mp4")]
     assert main(["import", "video", *some, "-o", str(tmp_path / "capture")]) == 1
     said = capsys.readouterr().err
     assert said.startswith("selfscan import: expected BODY HEAD LEFT RIGHT, or files called body, head, left, right")
     assert said.count("\n") == 1 and list(tmp_path.iterdir()) == []
+
+
+FRAMES, SIZE = 12, 128
+
+
+@pytest.fixture(scope="module")
+def turning(tmp_path_factory):
+    """A body's video whose pictures hold the place of each pixel, and its fit: all parts as the body holds them."""
+    truth, footage = turning_twin(FRAMES, SIZE)
+    template = template_of(truth)
+    y, x = np.mgrid[:SIZE, :SIZE]
+    path = tmp_path_factory.mktemp("turning") / "places.png"
+    Image.fromarray(np.stack([x, y, 0 * x], -1).astype(np.uint8)).save(path)
+    points = Keypoints(footage.names, footage.pixels, footage.sure, (SIZE, SIZE))
+    masks = in_clothes(truth, footage, 0.0).masks
+    raw = RawVideo("body", (SIZE, SIZE), 30.0, 10 * np.arange(FRAMES), (path,) * FRAMES, masks, points, None)
+    body = posed_video(truth, footage, np.ones(FRAMES, bool), level=True)
+    vertices = {name: int(body_points()[point].vertices[0]) for name, point in LANDMARKS.items()}
+    places = {name: (template.vertices[vertex], vertex) for name, vertex in vertices.items()}
+    videos = {part: carried(part, body, template.joints) for part in ("body", "head", "hand_left", "hand_right")}
+    return raw, FittedScan(template, videos, places)
+
+
+def test_a_head_is_cut_out_where_it_is_and_its_cameras_go_round_it(turning, tmp_path):
+    body, fitted = turning
+    raw, fit = cut_close_up("head", body, fitted, tmp_path)
+    assert len(fit.cameras) == FRAMES and fit.axis_angle is None and fit.usable.all()
+    assert raw.size[0] < SIZE / 2 and raw.size[1] < SIZE / 2
+    template, of_body = fitted.template, fitted.videos["body"]
+    nose, vertex = fitted.landmarks["nose_tip"]
+    for i, camera in enumerate(fit.cameras):
+        B = skin_transforms(of_body.axis_angle[i], template.joints, of_body.root[i], rest=np.zeros((52, 3)))
+        posed = skin_points(template.vertices, template.skin, B)[[vertex]]
+        there, here = project(of_body.cameras[i], posed)[0][0], project(camera, nose[None])[0][0]
+        # the crop's pixels say where they were
+        column, row = (int(n) for n in here)
+        assert read_picture(raw.pictures[i])[row, column, :2].tolist() == [int(n) for n in there]
+    assert raw.masks.any((1, 2)).all()
+    seen = raw.keypoints.seen("nose")
+    np.testing.assert_allclose(seen[0, :2], project(fit.cameras[0], nose[None])[0][0], atol=4)
+
+
+def test_a_hand_counts_where_it_is_seen_alone_and_a_part_hardly_seen_is_to_be_filmed(turning, tmp_path):
+    body, fitted = turning
+    raw, fit = cut_close_up("hand_left", body, fitted, tmp_path)
+    kept = (raw.frames // 10).tolist()
+    # arms point to the camera and away from it in profile: there the trunk is behind or before the hand
+    assert LEAST <= len(kept) < FRAMES and not {3, 9} & set(kept) and {0, 6} <= set(kept)
+    np.testing.assert_array_equal(fit.axis_angle, fitted.videos["body"].axis_angle[kept])
+    seen = np.arange(FRAMES) < LEAST - 1
+    videos = fitted.videos | {"head": replace(fitted.videos["head"], usable=seen)}
+    with pytest.raises(AssetError, match=r"shows the head alone in 3 frames, expected 4: film it too"):
+        cut_close_up("head", body, replace(fitted, videos=videos), tmp_path)

@@ -1,16 +1,28 @@
-"""Hollows carved by colour: a ball of skin, a block of brown hair at its side, and cells that are nothing."""
+"""Hollows carved by colour, the inside made solid but no air before it, and eyeballs in their sockets."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 import trimesh
-from icosphere import icosphere
+from capsules import icosphere
 from painted_ball import rigid_subject
+from painted_capture import free_subject
 
 from avatar.camera import Camera, look_at
-from capture.folder import CaptureSubject
+from avatar.rotation import fibonacci_sphere
+from avatar.skeleton import PARTS
+from avatar.skinning import dense_weights
+from capture.folder import CaptureSubject, read_capture, read_subject, write_subject
+from capture.template.eyes import body_sockets, eye_openings, eye_spheres, fit_sphere
 from capture.template.hollows import ColorView, Sure, carve_hollows, color_views
+from capture.template.parts import HEAD, part_boxes, with_rigid_head
+from capture.template.solid import outer_air, solid_inside
+from command.errors import AssetError
 from geometry.mesh import TriangleMesh, concatenated
 from geometry.rasterise import rasterise
+from train.fused import part_weight
 
 CELL = 0.006
 SKIN, BROWN, BLUE = np.array([0.9, 0.7, 0.6]), np.array([0.3, 0.2, 0.1]), np.array([0.5, 0.6, 0.9])
@@ -94,3 +106,109 @@ def test_pictures_are_averaged_down_with_their_cameras():
     assert view.image.shape == (100, 100, 3) and view.camera.size == (100, 100)
     assert view.image[:50].min() == 1 and view.image[50:].max() == 0
     assert view.camera.K[0, 0] == 200 and view.camera.K[0, 2] == 50
+
+
+def lined_shoe() -> CaptureSubject:
+    """A coarse ball, and in it the fine lining of its front, which faces inwards as a shoe's does; a head above
+    and something below: what is lowest is searched for folds."""
+    ball = trimesh.creation.icosphere(subdivisions=0, radius=0.1)
+    lining = trimesh.creation.icosphere(subdivisions=4, radius=0.075)
+    front = lining.triangles_center[:, 2] > 0.04
+    balls = [TriangleMesh(ball.vertices + [0, y, 0], ball.faces) for y in (0, 1, -1)]
+    vertices, faces = concatenated([*balls, TriangleMesh(lining.vertices, lining.faces[front][:, ::-1])])
+    return rigid_subject(vertices, faces, np.where(vertices[:, 1] > 0.5, PARTS.index("head"), PARTS.index("body")))
+
+
+def test_air_before_a_lining_stays_air_and_what_is_inside_becomes_solid():
+    shoe = lined_shoe()
+    # between the ball's corners the nearest four vertices are the lining's
+    rays = trimesh.creation.icosphere(subdivisions=3).vertices
+    solid = solid_inside(lambda points: np.full(len(points), 0.03), shoe)
+    for distance in (0.14, 0.16):
+        assert (solid(distance * rays) == 0.03).all()
+    assert (solid(0.05 * rays[rays[:, 2] < -0.8]) < 0).mean() > 0.8
+
+
+def test_outer_air_is_outside_and_not_near_the_surface_and_a_hole_three_centimetres_wide_lets_none_in():
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    rays = trimesh.creation.icosphere(subdivisions=2).vertices
+    # the hole is 2.8 cm wide
+    for faces in (ball.faces, ball.faces[ball.triangles_center[:, 2] < 0.099]):
+        air = outer_air(ball.vertices, faces)
+        assert air(0.15 * rays).all() and air(9.0 * rays).all()
+        assert not air(0.05 * rays).any() and not air(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.07]])).any()
+        if faces is ball.faces:
+            assert not air(0.1 * rays).any()
+
+
+def test_the_head_is_rigid_where_only_it_has_a_weight_and_nothing_changes_below_the_overlap(tiny_capture):
+    subject = read_capture(tiny_capture).subject
+    share = part_weight(torch.as_tensor(subject.vertices), part_boxes(subject)[1]).numpy()
+    before, after = dense_weights(subject.skin), dense_weights(with_rigid_head(subject).skin)
+    alone, below = share == 1, share <= 0.5
+    assert alone.sum() > 100 and below.sum() > 100
+    assert np.abs(after[alone, HEAD] - 1).max() < 1e-6
+    np.testing.assert_allclose(after[below], before[below], atol=1e-6)
+    np.testing.assert_allclose(after.sum(1), 1, atol=1e-6)
+    assert (before[alone, HEAD] < 0.99).any()  # the body model's own weights bend it
+
+
+STATED = np.array([[0.03, 0.65, 0.12, 0.016], [-0.03, 0.65, 0.12, 0.015]])
+
+
+@pytest.fixture(scope="module")
+def subject():
+    return free_subject("male")
+
+
+def spheres_of(subject):
+    spheres = eye_spheres(subject)
+    assert spheres is not None
+    return spheres
+
+
+def test_a_sphere_is_found_from_a_cap_of_it_and_points_of_a_plane_are_none():
+    cap = fibonacci_sphere(2000)
+    cap = cap[cap[:, 2] > 0.7]
+    centre, radius = fit_sphere([1.0, 2.0, 3.0] + 0.012 * cap)
+    assert np.abs(centre - [1, 2, 3]).max() < 1e-9 and abs(radius - 0.012) < 1e-9  # 64-bit least squares
+    with pytest.raises(ValueError, match="not in a plane"):
+        fit_sphere(np.random.default_rng(0).random((50, 3)) * [1, 1, 0])
+
+
+def test_the_free_body_has_eyeballs_and_stated_ones_follow_the_head_bone(subject):
+    spheres = spheres_of(subject)
+    for centre, radius, socket in zip(spheres.centres, spheres.radii, body_sockets()):
+        rim = np.linalg.norm(subject.vertices[socket.rim] - centre, axis=1)
+        # the lids' edges lie on the ball or up to 2.5 mm in front of it
+        assert (rim - radius).min() > -0.0005 and (rim - radius).max() < 0.0025
+        assert 0.011 < radius < 0.0135
+    assert spheres.centres[0, 0] > 0 > spheres.centres[1, 0]
+    spheres = spheres_of(replace(subject, eyes=STATED))
+    assert np.array_equal(spheres.radii, STATED[:, 3])
+    # the big pose turns only the hips
+    assert np.abs(spheres.centres - STATED[:, :3]).max() < 1e-9
+    other = replace(subject, faces=subject.faces[:, [1, 2, 0]])
+    assert eye_spheres(other) is None
+    assert len(eye_openings(other)) == 0
+
+
+def test_the_opening_is_what_the_lids_leave_free(subject):
+    opening = eye_openings(subject)
+    spheres = spheres_of(subject)
+    assert np.abs(spheres.distance(opening)).max() < 1e-9
+    for side, socket in zip((1, -1), body_sockets()):
+        points, rim = opening[side * opening[:, 0] > 0], subject.vertices[socket.rim]
+        low, high = rim.min(0), rim.max(0)
+        # within the rim, and most of the way across it
+        assert (points[:, :2] > low[:2] - 1e-3).all() and (points[:, :2] < high[:2] + 1e-3).all()
+        assert (np.ptp(points[:, :2], axis=0) > 0.7 * (high - low)[:2]).all()
+
+
+def test_stated_eyeballs_survive_the_file_and_one_outside_the_person_is_refused(tmp_path, subject):
+    for eyes in (STATED, None):
+        write_subject(tmp_path / "subject.npz", replace(subject, eyes=eyes))
+        np.testing.assert_array_equal(read_subject(tmp_path / "subject.npz").eyes, eyes)
+    write_subject(tmp_path / "subject.npz", replace(subject, eyes=STATED * [[1, 10, 1, 1], [1, 1, 1, 1]]))
+    with pytest.raises(AssetError, match=r"eyes should hold a centre within the template.*left"):
+        read_subject(tmp_path / "subject.npz")

@@ -101,16 +101,13 @@ def fringe(points):
     return np.minimum(whole(points), np.maximum(lock, -points[:, 0] - 0.06))
 
 
-def test_learned_hair_above_the_rigid_height_is_hair_where_it_joins_what_was_carved():
+def test_learned_hair_is_hair_where_it_joins_what_was_carved_and_bumps_apart_stay_the_bodys():
     layers = layers_of(fringe)
     up = np.radians(np.linspace(50, 100, 11))
     line = np.stack([np.cos(up), np.sin(up), 0 * up], 1)
     for radius, in_body, in_hair in ((RADIUS + 0.007, False, True), (RADIUS - 0.004, True, False)):
         body, hair = layers.divide(radius * line, fringe(radius * line))
         assert ((body < 0) == in_body).all() and ((hair < 0) == in_hair).all()
-
-
-def test_learned_bumps_apart_from_carved_hair_stay_the_bodys():
     nose = lambda points: np.minimum(whole(points), np.linalg.norm(points - [-RADIUS, 0.05, 0], axis=1) - 0.02)
     layers = layers_of(nose)
     tip = np.array([[-RADIUS - 0.012, 0.05, 0.0]])
@@ -118,7 +115,7 @@ def test_learned_bumps_apart_from_carved_hair_stay_the_bodys():
     assert body[0] < 0 < hair[0]
 
 
-def test_under_hair_the_surface_is_the_balls(layers):
+def test_under_hair_the_surface_is_the_balls_and_normals_of_a_cut_are_the_cuts(layers):
     """Found along rays from the middle through the covered side: harmonic between what is seen round it."""
     for height in (-0.04, 0.0, 0.02):
         direction = np.array([np.sqrt(RADIUS**2 - height**2), height, 0]) / RADIUS
@@ -126,6 +123,10 @@ def test_under_hair_the_surface_is_the_balls(layers):
         body, _ = layers.divide(line, whole(line))
         crossing = np.linalg.norm(line[np.flatnonzero(body > 0)[0]])
         assert abs(crossing - RADIUS) < GAP
+    at = np.array([[RADIUS, -0.01, 0.0]])
+    forward = lambda points: np.tile([0.0, 0, 1], (len(points), 1))
+    assert layers.normal(BODY, whole, forward)(at)[0, 0] > 0.95
+    assert layers.normal(HAIR, whole, forward)(at - [[OVERLAP, 0, 0]])[0, 0] < -0.95
 
 
 def test_sheets_deep_inside_are_closed():
@@ -136,27 +137,14 @@ def test_sheets_deep_inside_are_closed():
     assert layers.divide(at, hollow(at))[BODY][0] < 0
 
 
-def test_normals_of_a_cut_are_the_cuts(layers):
-    at = np.array([[RADIUS, -0.01, 0.0]])
-    forward = lambda points: np.tile([0.0, 0, 1], (len(points), 1))
-    assert layers.normal(BODY, whole, forward)(at)[0, 0] > 0.95
-    assert layers.normal(HAIR, whole, forward)(at - [[OVERLAP, 0, 0]])[0, 0] < -0.95
-
-
-def test_far_from_hair_and_outside_its_zone_all_is_the_bodys(layers):
+def test_far_from_hair_and_in_a_bald_person_all_is_of_the_body(layers):
     far = np.array([[0.5, 0.5, 0.5], [-0.4, 0, 0]])
     grid = DistanceGrid(np.ones((4, 4, 4), np.float32), np.zeros(3, np.float32), 0.01)
     alone = HairLayers(grid, grid, grid)
-    for one, points, whole in ((layers, far, [0.3, -0.1]), (alone, np.full((1, 3), 0.015), [-1.0])):
-        body, hair = one.divide(points, np.array(whole))
-        assert body.tolist() == whole and (hair > 0).all()
-
-
-def test_the_body_takes_no_weights_from_hair():
+    for one, points, given in ((layers, far, [0.3, -0.1]), (alone, np.full((1, 3), 0.015), [-1.0])):
+        body, hair = one.divide(points, np.array(given))
+        assert body.tolist() == given and (hair > 0).all()
     bare = without_hair(person())
     assert not carved_faces(bare).any()
     assert ball(bare.vertices[np.unique(bare.faces)]) == pytest.approx(0, abs=1e-6)
-
-
-def test_a_bald_person_has_one_layer():
     assert hair_layers(replace(person(), under_hair=np.zeros((0, 3), int)), whole) is None

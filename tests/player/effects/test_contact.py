@@ -1,18 +1,20 @@
-"""Contact darkening: what NumPy says of it, once and not twice, and nothing where it cannot show."""
+"""Contact darkening against NumPy, and the line round avatars: where they are, and nothing where they cannot show."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from glsl_probe import probe
+from scipy.ndimage import binary_dilation
 
 from avatar.camera import orbit_camera, view_from_world
 from player.draw.posing import Poser, grounded
 from player.effects.contact import AWAY, GROWN, Contact
 from player.effects.contact_capsules import BONES, OWNERS, capsules_of, openness
 from player.effects.light import Light
+from player.effects.outline import Outline
 from player.gl.blocks import CAPSULES
-from player.scene.effects import PLAIN
+from player.scene.effects import PLAIN, Effects
 
 SIZE = (160, 180)
 OFF = replace(PLAIN, view="off")
@@ -36,7 +38,7 @@ def crouching(avatar):
     return angles, grounded(avatar, angles, np.zeros(3))
 
 
-def test_capsules_lie_inside_the_body_and_spare_their_own_surface(avatar):
+def test_capsules_lie_inside_the_body_and_pixels_look_at_low_ones_alone(avatar):
     level = avatar.levels[0]
     capsules = capsules_of(avatar, level)
     assert len(BONES) == 15 and (capsules.radii > 0.01).all() and capsules.radii.max() < 0.2
@@ -44,6 +46,14 @@ def test_capsules_lie_inside_the_body_and_spare_their_own_surface(avatar):
     assert (capsules.spared >> OWNERS[heaviest] & 1 == 1).all()
     # thighs apart, arms out: little is hidden at rest, and the inside of a thigh sees the other
     assert np.median(capsules.rest) > 0.97 and 0.3 < capsules.rest.min() < 0.99
+    # One low capsule in a corner of the ground, and a high one that reaches all of it.
+    ends = np.array([[0.1, 0.1], [0.6, 0.6]])
+    under = Under(
+        Sheet(np.zeros(3), (0.0, 0.0, 1.2, 1.2)), np.array([7, 2]), np.stack([ends, ends]), np.array([0.1, 2.0]), 1
+    )
+    triangles, batches = under.triangles()
+    assert [count for count, _ in batches] == [0, 1]
+    assert len(triangles) == 2 * CELLS**2 == sum(size for _, size in batches) and batches[0][1] > 0.9 * len(triangles)
 
 
 def test_the_shader_says_what_numpy_says(context, avatar, crouching, within):
@@ -68,7 +78,7 @@ def test_the_shader_says_what_numpy_says(context, avatar, crouching, within):
     assert expected.min() < 0.6
 
 
-def test_a_limb_that_comes_near_darkens_the_body_and_the_rest_pose_is_not_darkened_twice(render, gray, crouching):
+def test_limbs_that_come_near_darken_and_in_the_air_nothing_is_on_the_ground(render, gray, crouching, avatar):
     level_pose = (gray.canonical_pose.astype(float), np.array([0.0, 1.0, 0.0]))
     for pose, darkest in ((crouching, 0.85), (level_pose, 0.98)):
         plain, dark = (render(gray, SIZE, effects=effects).draw([pose], CAMERA) for effects in (OFF, DARK))
@@ -77,6 +87,9 @@ def test_a_limb_that_comes_near_darkens_the_body_and_the_rest_pose_is_not_darken
         share = dark[body][:, :3].astype(float) / 200
         assert share.min() < darkest if darkest < 0.9 else share.min() > darkest
         assert share.max() <= 1.003, "nothing gets brighter"
+    renderer = render(avatar, SIZE, effects=DARK)
+    renderer.draw([(crouching[0], crouching[1] + [0, 6.0, 0])], orbit_camera((0, 6, 0), 3, 0, 0.2, SIZE))
+    assert {one.item.name: one.decision for one in renderer.drawn}["contact: avatar on the ground"] == AWAY
 
 
 def test_the_ground_is_dark_under_feet_and_nowhere_far(render, gray, crouching):
@@ -125,7 +138,36 @@ def test_every_way_to_draw_an_avatar_is_darkened(render, gray, crouching, skinni
     assert np.quantile(ratio, 0.02) < 0.95 and ratio.max() < 1.01
 
 
-def test_high_in_the_air_nothing_is_on_the_ground(render, avatar, crouching):
-    renderer = render(avatar, SIZE, effects=DARK)
-    renderer.draw([(crouching[0], crouching[1] + [0, 6.0, 0])], orbit_camera((0, 6, 0), 3, 0, 0.2, SIZE))
-    assert {one.item.name: one.decision for one in renderer.drawn}["contact: avatar on the ground"] == AWAY
+NEARER = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
+RED = (1.0, 0.0, 0.0, 1.0)
+
+
+def grown(mask, pixels):
+    """Pixels at most so far from the mask."""
+    y, x = np.mgrid[-pixels : pixels + 1, -pixels : pixels + 1]
+    return binary_dilation(mask, x * x + y * y <= pixels * pixels)
+
+
+@pytest.mark.parametrize("skinning", ["lbs", "dual_quaternion"])
+@pytest.mark.parametrize("distance", [2.6, 9.0])
+def test_the_line_is_as_wide_as_it_says_near_and_far(render, avatar, pose, skinning, distance):
+    camera = orbit_camera((0.1, 0, -0.2), distance, 0.5, 0.1, SIZE)
+    plain = render(avatar, SIZE, effects=replace(PLAIN, skinning=skinning)).draw([pose], camera)
+    effects = replace(PLAIN, skinning=skinning, outline=Outline(RED, 4.0))
+    lined = render(avatar, SIZE, effects=effects).draw([pose], camera)
+    body, line = plain[..., 3] > 0, (lined == (255, 0, 0, 255)).all(-1)
+    added = (lined[..., 3] > 0) & ~body
+    assert (added <= line).all() and not (added & ~grown(body, 5)).any()
+    near, far = grown(body, 3) & ~body, grown(body, 4) & ~body
+    assert added[near].mean() > 0.97 and 0.6 < added[far].mean() <= 1
+    inside = body & (lined != plain).any(-1)
+    assert (inside <= line).all() and (inside.sum() < 0.2 * body.sum() or distance > 3), "limbs before the body"
+
+
+def test_msaa_resolves_all_of_a_wide_line(render, avatar, pose):
+    """One sample a pixel and four cover the same, but for the line's edge."""
+    one, four = (
+        render(avatar, SIZE, effects=Effects("off", antialiasing=kind, outline=Outline(RED, 17.0))).draw([pose], NEARER)
+        for kind in ("none", "msaa")
+    )
+    assert not ((one[..., 3] > 0) & (four[..., 3] == 0)).sum() > 60

@@ -1,20 +1,22 @@
-"""Avatars lit anew: read back and held against avatar/light.py, and nothing where it is not asked for."""
+"""The light of a scene: lamps, albedo and a panorama as ambient and lamps, against the integral itself."""
 
 from dataclasses import replace
 
 import moderngl
 import numpy as np
 import pytest
+from pictures import sky
 
-from avatar.camera import orbit_camera
-from avatar.gltf.avatar_file import read_avatar, write_avatar
+from avatar.camera import Camera, orbit_camera
 from avatar.light import CaptureLight, lamps_of
+from avatar.rotation import fibonacci_sphere
 from avatar.skeleton import skin_transforms
 from avatar.skinning import blended_rotations
 from player.draw.posing import posed_vertices
 from player.effects.background_source import read_panorama
-from player.effects.light import Light, background_gains
-from player.effects.panorama_light import fitted_light
+from player.effects.light import Light
+from player.effects.panorama import direction_from_pixel
+from player.effects.panorama_light import LUMINANCE, NORMALS, fitted_light, irradiance
 from player.film.shot import Shot, with_whole_paths
 from player.scene.effects import PLAIN
 from player.scene.scene import Scene, SceneAvatar
@@ -103,31 +105,14 @@ def test_light_without_a_highlight_is_one_factor_of_each_vertex(render, rasteris
     assert any(("LIT", 1) in program.depends_on for program in programs)
 
 
-def test_without_light_albedo_is_shown(shown, rasteriser, avatar, pose):
+def test_albedo_is_shown_without_light_and_named_lamps_light_a_file_without(shown, rasteriser, avatar, pose):
     filmed = lit_avatar(avatar)
     base, albedo = (shown(replace(OFF, light=light), filmed) for light in (None, Light(by="albedo")))
     assert_lit(rasteriser, filmed, pose, base, albedo, CaptureLight(1.0))
-
-
-def test_lamps_that_a_scene_names_light_an_avatar_whose_file_tells_no_light(shown):
-    """Even ones of 1 change nothing: test_light_that_changes_nothing_is_the_plan_without_it."""
+    # Even ones of 1 change nothing: test_light_that_changes_nothing_is_the_plan_without_it.
     lamps = Light(by="lamps", ambient=0.0, strength=1.0, direction=(0.0, 0.0, 1.0))
     base, lit = (shown(replace(OFF, light=light)) for light in (None, lamps))
     assert (lit <= base).all() and lit[..., :3].sum() < 0.95 * base[..., :3].sum()
-
-
-@pytest.mark.parametrize("view", ["off", "vertex", "network"])
-def test_not_asked_for_it_is_the_same_frame_program_and_objects(render, context, avatar, pose, view):
-    plain = render(avatar, SIZE, effects=replace(PLAIN, view=view))
-    before = plain.draw([pose], CAMERA).copy(), context.counts.objects(), plain.plan.bytes
-    plain.release()
-    filmed = render(lit_avatar(avatar), SIZE, effects=replace(PLAIN, view=view))
-    after = filmed.draw([pose], CAMERA), context.counts.objects(), filmed.plan.bytes
-    assert np.array_equal(before[0], after[0])
-    assert before[1:] == after[1:]
-    programs = [handle for handle in filmed.plan.handles if handle.kind is moderngl.Program]
-    assert programs
-    assert all(("LIT", 0) in program.depends_on for program in programs)
 
 
 def test_view_dependence_is_lit_too_and_explained(render, shown, avatar, pose):
@@ -139,17 +124,20 @@ def test_view_dependence_is_lit_too_and_explained(render, shown, avatar, pose):
     assert np.abs(dark.astype(int) - bright).max() > 30
 
 
-def test_the_file_gives_the_light_back(tmp_path, avatar):
-    filmed = lit_avatar(avatar, 2.2)
-    write_avatar(tmp_path / "lit.glb", filmed)
-    found = read_avatar(tmp_path / "lit.glb")
-    assert found.light == filmed.light
-    np.testing.assert_array_equal(found.levels[0].light, filmed.levels[0].light)
-    with pytest.raises(ValueError, match="light should be in the avatar and all of its levels"):
-        write_avatar(tmp_path / "half.glb", replace(filmed, light=None))
-
-
 # -- panoramas, and what is behind
+
+
+@pytest.mark.parametrize("view", ["off", "network"])
+def test_a_file_that_holds_light_draws_the_same_with_the_same_objects_where_none_is_asked_for(
+    render, context, avatar, pose, view
+):
+    pictures, objects = [], []
+    for who in (avatar, lit_avatar(avatar)):
+        renderer = render(who, SIZE, effects=replace(PLAIN, view=view))
+        pictures.append(renderer.draw([pose], CAMERA))
+        objects.append((context.counts.objects(), renderer.plan.bytes))
+        renderer.release()
+    assert np.array_equal(*pictures) and objects[0] == objects[1]
 
 
 @pytest.fixture(scope="session")
@@ -171,24 +159,11 @@ def test_a_panorama_lights_avatars_as_its_lamps_would(render, shown, avatar, pos
     assert "its file has no light, its colors are taken for albedo" in why_of(own)
 
 
-def test_a_panorama_that_is_nowhere_is_said(render, avatar, behind):
+def test_a_panorama_that_is_nowhere_or_black_is_refused(render, avatar, behind):
     with pytest.raises(ValueError, match="light by panorama: expected its path, or a background of kind hdr"):
         render(avatar, SIZE, effects=replace(OFF, light=Light("panorama")), background=behind["image"])
-
-
-@pytest.mark.parametrize("kind", ["image", "hdr"])
-def test_avatars_are_fitted_to_what_is_behind(render, shown, avatar, pose, behind, kind):
-    """Every color times the same gains, which the reason says."""
-    plain = shown(OFF)
-    fitted = render(avatar, SIZE, effects=replace(OFF, light=Light(fit="background")), background=behind[kind])
-    image, body = fitted.draw([pose], CAMERA), plain[..., 3] > 0
-    gains = np.array(background_gains(behind[kind]))
-    assert (gains != 1).all() and ((gains >= 0.5) & (gains <= 2)).all()
-    expected = np.clip(plain[body][:, :3] * gains, 0, 255)
-    assert np.abs(image[body][:, :3] - expected).max() <= 1.01
-    assert " ".join(f"{gain:.2f}" for gain in gains) in why_of(fitted)
-    if kind == "image":
-        assert gains[0] > gains[1] > gains[2], "warm behind, warm before"
+    with pytest.raises(ValueError, match="the panorama is black"):
+        fitted_light(np.zeros((32, 64, 3)), 0.0, gamma=1.0, most=4)
 
 
 def test_light_that_changes_nothing_is_the_plan_without_it(render, context, avatar, pose):
@@ -200,8 +175,49 @@ def test_light_that_changes_nothing_is_the_plan_without_it(render, context, avat
     assert "not lit anew: its file has no light" in why_of(asked)
 
 
-def test_a_panorama_is_one_of_the_files_of_a_film(behind):
+def test_a_panorama_is_a_file_of_the_film_and_even_light_its_own_irradiance(behind, within):
     scene = Scene((SceneAvatar("mannequin"),), effects=replace(OFF, light=Light("panorama", behind["hdr"].path)))
     shot = Shot(scene, 0, 1, SIZE, 30.0, None)
     assert behind["hdr"].path in shot.files()
     assert with_whole_paths(scene).effects.light.path == behind["hdr"].path
+    even = np.full((64, 128, 3), 0.7)
+    within(np.abs(irradiance(even, 0.3, fibonacci_sphere(50)) - 0.7).max(), 2e-3)
+    light = fitted_light(even, 0.0, gamma=2.2, most=4)
+    assert light.lamps == () and abs(light.ambient - 1) < 1e-12 and off_by(light, even, 0.0) < 2e-3
+
+
+def off_by(light, panorama, turn, normals=fibonacci_sphere(NORMALS)):  # noqa: B008  never written to
+    """How far a light is from the panorama's own, of mean 1, root mean square."""
+    true = irradiance(panorama, turn, normals) @ LUMINANCE
+    true = (true / true.mean()) ** (light.gamma / 2.2)
+    return float(np.sqrt(np.mean((light.shading(normals) - true / true.mean()) ** 2)))
+
+
+def test_a_sun_is_one_lamp_towards_where_the_background_shows_it(within):
+    """Also turned: the pixel that the background draws for a direction is the one that lights from there."""
+    for turn in (0.0, 1.1):
+        panorama = np.full((128, 256, 3), 0.2)
+        panorama[30:33, 170:173] = 4000.0
+        light = fitted_light(panorama, turn, gamma=2.2, most=4)
+        brightest = light.directions[light.strengths.argmax()]
+        # as shaders/panorama.frag looks a direction up, after direction_from_pixel has turned it
+        camera_turn = direction_from_pixel(Camera(np.eye(3), np.eye(4), (1, 1)), turn)
+        looked_up = camera_turn @ brightest
+        u = 0.5 + np.arctan2(looked_up[0], -looked_up[2]) / (2 * np.pi)
+        v = 0.5 - np.arcsin(looked_up[1]) / np.pi
+        assert abs(u - 171.5 / 256) < 0.03 and abs(v - 31.5 / 128) < 0.05
+        assert light.strengths.max() > 5 * light.ambient
+        within(off_by(light, panorama, turn), 0.12)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_an_evening_sky_is_met_to_some_percent_and_no_lamp_is_negative(within, gamma):
+    panorama, normals = sky(256), fibonacci_sphere(400)
+    light = fitted_light(panorama, 0.4, gamma=gamma, most=4)
+    assert 1 <= len(light.lamps) <= 4 and light.ambient >= 0 and (light.strengths >= 0).all()
+    shading = light.shading(normals)
+    assert (shading >= 0).all() and abs(shading.mean() - 1) < 0.02
+    # at other normals than those it was fitted at
+    off = off_by(light, panorama, 0.4, normals)
+    within(off, 0.12)
+    assert abs(off - off_by(light, panorama, 0.4)) < 0.02

@@ -1,20 +1,20 @@
-"""Secondary motion as it is drawn: where it is, and nothing where nothing is loose."""
+"""Loose parts that follow the body: at any rate, after any jump, asleep at rest, and drawn where they are."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from glsl_probe import probe
-from loose_avatar import dressed
-from loose_paths import dance, danced
+from loose_avatar import dance, danced, dressed, moved
 
 from avatar.camera import orbit_camera
-from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
 from player.effects.contact import Contact
+from player.effects.contact_capsules import capsule_distances
 from player.effects.ground import Ground
+from player.effects.loose_motion import CALM, LooseMotion
+from player.effects.loose_parts import PARTICLES, LooseParts, loose_parts
 from player.effects.outline import Outline
 from player.effects.secondary_motion import SecondaryMotion
 from player.gl.blocks import LOOSE
@@ -90,7 +90,7 @@ def test_shadow_outline_and_darkening_move_with_it(render, dressed_avatar):
         assert (images[0] != images[1]).any(), effect
 
 
-def test_a_shadow_is_thrown_anew_while_only_loose_parts_move(render, dressed_avatar):
+def test_a_shadow_is_thrown_anew_while_parts_move_and_no_pose_is_refused(render, dressed_avatar):
     renderer = render(dressed_avatar, SIZE, effects=replace(MOVING, ground=Ground()))
     pose, states = danced(renderer), []
     for frame in range(240):
@@ -99,33 +99,11 @@ def test_a_shadow_is_thrown_anew_while_only_loose_parts_move(render, dressed_ava
             renderer.draw([pose], CAMERA)
             states.append(next(str(one.decision.state) for one in renderer.drawn if one.item.name == "ground: mask"))
     assert states == ["runs", "runs", "runs", "kept"]
-
-
-def test_a_pose_that_is_no_pose_is_refused(render, dressed_avatar):
     renderer = render(dressed_avatar, SIZE, effects=MOVING)
     with pytest.raises(ValueError, match="not finite"):
         renderer.move([(np.full((52, 3), np.nan), np.zeros(3))], 0.0)
     with pytest.raises(ValueError, match="1 avatars need as many poses, found 0"):
         renderer.move([], 0.0)
-
-
-def test_a_file_tells_what_is_loose(tmp_path, dressed_avatar):
-    from tiny_avatar import join_glb, split_glb
-
-    path = tmp_path / "dressed.glb"
-    write_avatar(path, dressed_avatar)
-    assert np.array_equal(read_avatar(path).levels[0].loose, dressed_avatar.levels[0].loose)
-    document, binary = split_glb(path.read_bytes())
-    attributes = document["meshes"][0]["primitives"][0]["attributes"]
-    accessor = document["accessors"][attributes["_LOOSE"]]
-    start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
-    binary[start : start + 4] = np.float32(1.5).tobytes()
-    path.write_bytes(join_glb(json.loads(json.dumps(document)), bytes(binary)))
-    with pytest.raises(Exception, match=r"levels\[0\].loose should be from 0 to 1"):
-        read_avatar(path)
-    del attributes["_LOOSE"]
-    path.write_bytes(join_glb(document, bytes(binary)))
-    assert read_avatar(path).levels[0].loose is None
 
 
 def test_copies_of_an_avatar_swing_each_in_its_own_way(render, dressed_avatar):
@@ -139,3 +117,89 @@ def test_copies_of_an_avatar_swing_each_in_its_own_way(render, dressed_avatar):
     image = two.draw([pose, still], CAMERA)
     loose = [item.offsets.motion.found.reach for item in two.plan.passes if "secondary motion" in item.name]
     assert np.array_equal(image, alone) and loose[0] > 0.05 > loose[1]
+
+
+SETTINGS = SecondaryMotion()
+STANDING = (np.zeros((52, 3)), np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def parts():
+    avatar = dressed()
+    return loose_parts(avatar, avatar.levels[0])
+
+
+def test_few_particles_are_followed_by_near_vertices_and_capsule_distances_are_exact(parts):
+    level = dressed().levels[0]
+    assert 100 < len(parts.places) <= PARTICLES
+    share, loose = parts.follows.sum(1), level.loose
+    assert (share[loose == 0] == 0).all() and np.allclose(share[loose > 0.25], 1)
+    away = np.linalg.norm(level.positions[:, None] - parts.places[parts.near], axis=2)
+    assert away[parts.follows > 0].max() < 0.2
+    for particle, row in enumerate(parts.neighbours):
+        for other in row[parts.pull[particle] > 0]:
+            assert particle in parts.neighbours[other], "neighbours are so both ways"
+    rng = np.random.default_rng(0)
+    points, starts, ends = rng.normal(size=(50, 3)), rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
+    ends[3] = starts[3]
+    along = np.linspace(0, 1, 20001)[:, None]
+    expected = [
+        [np.linalg.norm(point - (start + along * (end - start)), axis=1).min() for start, end in zip(starts, ends)]
+        for point in points
+    ]
+    assert np.abs(capsule_distances(points, starts, ends) - expected).max() < 1e-4
+
+
+@pytest.mark.slow
+def test_a_minute_of_dancing_nothing_is_deeper_than_5_mm_in_the_body(parts):
+    motion, deepest, stretched = LooseMotion(parts, SETTINGS), 0.0, []
+    for frame in range(60 * 30):
+        pose = dance(frame / 30)
+        motion.move(pose, frame / 30)
+        # positions and capsules anew, from the pose
+        now = parts.drive((pose[0], np.zeros(3)))
+        at = now.targets + motion.offsets
+        deepest = max(deepest, float((parts.radii - capsule_distances(at, *now.capsules)).max()))
+        length = np.linalg.norm(at[parts.neighbours] - at[:, None], axis=2)
+        stretched.append((length / np.maximum(now.lengths.T, 1e-9))[parts.pull > 0])
+    assert deepest <= 0.005
+    assert np.percentile(stretched, 99) < 1.25
+
+
+def test_two_runs_have_the_same_bits_and_nothing_loose_has_no_particles(parts):
+    avatar = dressed()
+    one, two = (moved(found, 30, 3, dance)[1] for found in (parts, loose_parts(avatar, avatar.levels[0])))
+    assert np.array_equal(one, two) and np.abs(one).max() > 0.05
+    avatar = dressed(skirt=False, hair=False)
+    assert loose_parts(avatar, avatar.levels[0]) is None
+    level = replace(avatar.levels[0], loose=np.zeros(len(avatar.levels[0].positions), np.float32))
+    assert loose_parts(avatar, level) is None
+
+
+def test_who_stands_as_filmed_is_drawn_as_filmed_and_asleep(parts, monkeypatch):
+    motion = moved(parts, 60, 2 * CALM, lambda t: STANDING)[0]
+    assert motion.asleep and not motion.shows and motion.reach < 1e-6
+    monkeypatch.setattr(LooseParts, "drive", lambda *_: pytest.fail("nothing is computed at rest"))
+    steps = motion.steps
+    for frame in range(1000):
+        motion.move(STANDING, 2 * CALM + frame / 60)
+    assert motion.steps == steps
+
+
+def test_slow_drift_wakes_it_and_hair_hangs_down_when_the_head_does(parts):
+    """Too slow to be seen from one frame to the next: asleep is measured from the pose in which it fell asleep."""
+    motion = moved(parts, 60, 2 * CALM, lambda t: STANDING)[0]
+    assert motion.asleep
+    woken = False
+    for frame in range(300):
+        axis_angle = np.zeros((52, 3))
+        axis_angle[15, 0] = 1e-4 * frame
+        motion.move((axis_angle, np.zeros(3)), 2 * CALM + frame / 60)
+        woken |= not motion.asleep
+    assert woken
+    # Gravity acts by how far it has turned since pose 0.
+    bent = np.zeros((52, 3))
+    bent[3, 0] = 1.2
+    still = moved(parts, 60, 4, lambda t: (bent, np.zeros(3)))[0]
+    hair = parts.places[:, 1] > 0.3
+    assert still.asleep and still.offsets[hair, 1].mean() < -0.005

@@ -1,4 +1,4 @@
-"""Our JSON pose messages: what is read, what is refused, what is counted."""
+"""Our JSON pose messages, and frames between network and window: odd clocks, silence, floods of nonsense."""
 
 import json
 
@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from player.live.frame import Counters
+from player.live.inbox import Inbox
 from player.live.json_pose import REORDERED, JsonDecoder, PoseError, build_pose, parse_pose
+from player.live.osc import build_bundle, build_message
+from player.live.take import Take
+from player.live.vmc import VmcEncoder
+from player.scene.mannequin import builtin_body
 
 
 def message(sequence=0, *, sender="a", seconds=None, height=None):
@@ -15,12 +20,13 @@ def message(sequence=0, *, sender="a", seconds=None, height=None):
     return build_pose(pose, np.zeros(3), time=seconds, sequence=sequence, sender=sender, pelvis_height=height)
 
 
-def test_a_pose_survives_the_text():
+def test_a_pose_survives_the_text_and_unknown_keys_are_ignored():
     rng = np.random.default_rng(0)
     axis_angle, root = rng.normal(size=(52, 3)), rng.normal(size=3)
     found = parse_pose(build_pose(axis_angle, root, time=12.5, sequence=7, sender="x", pelvis_height=0.93))
     assert np.abs(found.pose.axis_angle - axis_angle).max() < 1e-6 and np.abs(found.pose.root - root).max() < 1e-6
     assert (found.time, found.sequence, found.sender, found.pelvis_height) == (12.5, 7, "x", 0.93)
+    assert parse_pose(broken(betas=[1, 2], expr={"a": 1}, id=...)).sender == ""
 
 
 def broken(**changes):
@@ -59,37 +65,88 @@ def test_what_is_no_pose_is_refused(case):
         parse_pose(REFUSED[case])
 
 
-def test_unknown_keys_are_ignored():
-    assert parse_pose(broken(betas=[1, 2], expr={"a": 1}, id=...)).sender == ""
-
-
 def feed(order, decoder=None, counters=None):
     decoder, counters = decoder or JsonDecoder(), counters or Counters()
     used = [decoder.decode(message(n), 0.01 * k, counters) for k, n in enumerate(order)]
     return [None if found is None else found[0].sequence for found in used], counters
 
 
-def test_gaps_late_and_repeated_messages_are_counted():
+def test_one_sender_is_followed_at_a_time_a_restarted_one_at_once():
     used, counters = feed([0, 1, 3, 3, 2, 2, 7, 8])
-    assert used == [0, 1, 3, None, 2, None, 7, 8]
+    assert used == [0, 1, 3, None, None, None, 7, 8]
     assert (counters.late, counters.duplicate, counters.lost) == (1, 2, 3)  # 4, 5 and 6 never came
-
-
-def test_a_restarted_sender_is_followed_at_once():
-    decoder, counters = JsonDecoder(), Counters()
-    feed(range(1000, 1010), decoder, counters)
-    found = decoder.decode(message(0), 1.0, counters)
-    assert found is not None and found[2] and counters.late == counters.lost == 0
-    # restarted after a few messages: late ones for a while, then followed
-    decoder, counters = JsonDecoder(), Counters()
-    feed(range(40), decoder, counters)
-    late = [decoder.decode(message(n, seconds=100 + n), 1.0, counters)[1] for n in range(40)]
-    assert late.count(True) == counters.late == REORDERED // 2 and not late[-1]
-
-
-def test_one_sender_is_followed_until_it_falls_silent():
     decoder, counters = JsonDecoder(), Counters()
     assert decoder.decode(message(5, sender="a"), 0.0, counters)
     assert decoder.decode(message(9, sender="b"), 0.5, counters) is None and counters.other == 1
     found = decoder.decode(message(10, sender="b"), 2.0, counters)
-    assert found is not None and found[0].sender == "b" and found[2] and counters.lost == 0
+    assert found is not None and found[0].sender == "b" and found[1] and counters.lost == 0
+    decoder, counters = JsonDecoder(), Counters()
+    feed(range(1000, 1010), decoder, counters)
+    found = decoder.decode(message(0), 1.0, counters)
+    assert found is not None and found[1] and counters.late == counters.lost == 0
+    # restarted after a few messages: late ones for a while, then followed
+    decoder, counters = JsonDecoder(), Counters()
+    feed(range(40), decoder, counters)
+    found = [decoder.decode(message(n, seconds=100 + n), 1.0, counters) for n in range(40)]
+    assert found.count(None) == counters.late == REORDERED // 2 and found[-1] is not None
+
+
+ENCODER = VmcEncoder(builtin_body("male").joints)
+
+
+def bundle(angle, seconds):
+    axis_angle = np.zeros((52, 3))
+    axis_angle[16, 2] = angle
+    return ENCODER.encode(axis_angle, np.array([angle, 1.0, 0.0]), seconds)
+
+
+def raised(angle, seconds, sequence, *, sender=""):
+    axis_angle = np.zeros((52, 3))
+    axis_angle[16, 2] = angle
+    root = np.array([angle, 1.0, 0.0])
+    return build_pose(axis_angle, root, time=seconds, sequence=sequence, sender=sender)
+
+
+def shown(inbox):
+    found = inbox.sample()
+    return None if found is None else found[1].axis_angle[16, 2]
+
+
+def test_the_newest_pose_is_shown_and_memory_does_not_grow():
+    inbox = Inbox("vmc")
+    assert inbox.sample() is None and inbox.facts(0.0).age is None
+    for n in range(60):
+        inbox.feed(bundle(0.01 * n, n / 60), 100 + n / 60)
+    assert abs(shown(inbox) - 0.59) < 1e-6
+    facts = inbox.facts(101.0)
+    assert abs(facts.rate - 60) < 1e-6 and abs(facts.age - 1 / 60) < 1e-9
+    held = inbox.facts(111.0)  # a stall of 10 s
+    assert abs(shown(inbox) - 0.59) < 1e-6 and held.rate == 0 and held.age > 10
+    assert inbox.counters == Counters(received=60, frames=60)
+    inbox = Inbox("udp")
+    for n in range(3000):
+        inbox.feed(raised(0.0, n * 1e-4, n, sender=""), n * 1e-4)
+    assert len(inbox.arrivals) <= 64 and len(inbox.json.recent) <= 128
+    inbox = Inbox("vmc")
+    for n in range(2000):
+        inbox.feed(build_message("/VMC/Ext/Bone/Pos", f"Bone{n}", *[0.0] * 6, 1.0), 0.0)
+        inbox.feed(build_message("/VMC/Ext/T", float(n)), 0.0)
+    assert len(inbox.vmc.bones) == 0 and len(inbox.vmc.recent) <= 16 and inbox.newest is None
+
+
+def test_a_frame_in_two_datagrams_is_one_frame(tmp_path):
+    half = [("LeftUpperArm", 0.2), ("RightUpperArm", 0.3)]
+    inbox = Inbox("vmc", take=Take(tmp_path / "take.npz"))
+    for n in range(10):
+        for name, turn in half:
+            turn *= n / 10
+            bone = build_message(
+                "/VMC/Ext/Bone/Pos", name, 0.0, 0.0, 0.0, float(np.sin(turn)), 0.0, 0.0, float(np.cos(turn))
+            )
+            inbox.feed(build_bundle([bone]), n / 30)
+    assert inbox.counters.frames == 10
+    take = inbox.take
+    inbox.finish()
+    recorded = take.motion().read().axis_angle[:, [16, 17], 0]
+    take.close()
+    assert np.allclose(recorded, np.arange(10)[:, None] / 10 * [0.4, 0.6], atol=1e-6)

@@ -13,7 +13,7 @@ from avatar.motion.amass import read_amass, write_amass
 from avatar.motion.clip import Clip, Motion
 from command.errors import AssetError
 from player.live.frame import LiveFrame, LivePose
-from player.live.latency import HEADER, Latency
+from player.live.latency import Latency
 from player.live.one_euro import OneEuro
 from player.live.take import MOST_FRAMES, Take, even_rate
 
@@ -41,7 +41,19 @@ def clip_of(tmp_path):
     return made
 
 
-def test_frames_on_an_even_clock_keep_their_poses_to_the_bit(clip_of):
+def test_gaps_are_filled_silence_is_cut_and_clocks_that_go_back_stand_still(clip_of):
+    times = np.arange(20) / 30
+    clip = clip_of(np.delete(times, [7, 8]))
+    assert len(clip.root) == 20 and np.allclose(clip.axis_angle[:, 16, 2], 0.1 * times, atol=1e-6)
+    assert np.allclose(clip.root[:, 0], 0.1 * times, atol=1e-6)
+    silent = clip_of(np.concatenate([times, times + 3600]))
+    assert len(silent.root) == 20 + 20 + 59  # two seconds of the hour
+    clip = clip_of([0, 1 / 30, 2 / 30, -100, -100 + 1 / 30])
+    assert len(clip.root) == 4 and np.allclose(clip.axis_angle[2, 16, 2], -10)
+    for rate in (24, 30, 60, 72, 240):
+        assert even_rate(np.full(9, 1.005 / rate)) == rate
+    assert abs(even_rate(np.full(9, 1 / 41)) - 41) < 1e-9
+    assert even_rate(np.zeros(0)) == 30.0
     rng = np.random.default_rng(0)
     times = 5 + np.arange(100) / 60 + 1e-3 * rng.uniform(-1, 1, 100)
     clip = clip_of(times)
@@ -49,28 +61,9 @@ def test_frames_on_an_even_clock_keep_their_poses_to_the_bit(clip_of):
     assert np.array_equal(clip.axis_angle[:, 16, 2], (0.1 * times).astype(np.float32))
 
 
-def test_a_lost_frame_is_filled_between_its_neighbours_and_a_long_silence_is_cut(clip_of):
-    times = np.arange(20) / 30
-    clip = clip_of(np.delete(times, [7, 8]))
-    assert len(clip.root) == 20 and np.allclose(clip.axis_angle[:, 16, 2], 0.1 * times, atol=1e-6)
-    assert np.allclose(clip.root[:, 0], 0.1 * times, atol=1e-6)
-    silent = clip_of(np.concatenate([times, times + 3600]))
-    assert len(silent.root) == 20 + 20 + 59  # two seconds of the hour
-
-
-def test_a_clock_that_goes_backwards_stands_still_in_the_take(clip_of):
-    clip = clip_of([0, 1 / 30, 2 / 30, -100, -100 + 1 / 30])
-    assert len(clip.root) == 4 and np.allclose(clip.axis_angle[2, 16, 2], -10)
-
-
-def test_the_rate_is_a_usual_one_or_the_median():
-    for rate in (24, 30, 60, 72, 240):
-        assert even_rate(np.full(9, 1.005 / rate)) == rate
-    assert abs(even_rate(np.full(9, 1 / 41)) - 41) < 1e-9
-    assert even_rate(np.zeros(0)) == 30.0
-
-
-def test_a_take_that_would_fill_the_disk_stops_and_says_so(tmp_path):
+def test_takes_that_fill_the_disk_stop_and_without_a_pose_nothing_is_written(tmp_path):
+    assert Take(tmp_path / "a.npz").finish() == ["no pose came: no take written"]
+    assert list(tmp_path.iterdir()) == []
     take = Take(tmp_path / "a.npz", most=10)
     take.sender_height = lambda: 0.9
     for n in range(50):
@@ -81,11 +74,6 @@ def test_a_take_that_would_fill_the_disk_stops_and_says_so(tmp_path):
     found = read_amass(tmp_path / "a.npz")
     assert found.frames == 10 and found.pelvis_height == 0.9
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
-
-
-def test_a_take_without_a_pose_writes_nothing(tmp_path):
-    assert Take(tmp_path / "a.npz").finish() == ["no pose came: no take written"]
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_disk_that_is_full_stops_the_take_and_not_the_program(tmp_path, monkeypatch):
@@ -185,7 +173,7 @@ def test_a_motion_is_written_by_rows_as_numpy_writes_it_whole(tmp_path, monkeypa
     assert not (tmp_path / "bad.npz").exists()
 
 
-def test_one_euro_steadies_a_jitter_and_follows_a_motion():
+def test_one_euro_steadies_a_jitter_follows_a_motion_and_takes_the_short_way():
     rng = np.random.default_rng(1)
     noise = 0.01 * rng.normal(size=600)
     smooth = OneEuro()
@@ -195,36 +183,21 @@ def test_one_euro_steadies_a_jitter_and_follows_a_motion():
     swing = np.sin(2 * np.pi * np.arange(240) / 60)  # once a second, up to 6 rad/s
     found = np.array([smooth(pose(x), 1 / 60).axis_angle[16, 2] for x in swing])
     assert np.abs(found - swing)[60:].max() < 0.25
-
-
-def test_one_euro_crosses_a_half_turn_on_the_short_way():
     smooth = OneEuro(1000.0)
     for angle in np.linspace(3.0, 3.3, 50):
         found = smooth(pose(angle), 1 / 60).axis_angle[16, 2]
     assert abs((found - 3.3 + np.pi) % (2 * np.pi) - np.pi) < 0.01
 
 
-def test_stamps_become_rows_and_percentiles(tmp_path):
-    latency = Latency(tmp_path / "l.csv")
+def test_stamps_become_percentiles():
+    latency = Latency()
     for n in range(100):
         frame = LiveFrame(None, 10 + n + 0.001 * (n % 2), float(n), 10.0 + n, n)
         latency.applied(frame, frame.received + 0.002)
         latency.applied(frame, frame.received + 0.5)  # drawn again: only the first time counts
         latency.drawn(frame.received + 0.010)
         latency.drawn(frame.received + 0.6)
+    assert len(latency.spans) == 100 and np.allclose(latency.spans[1], [0.001, 0.002, 0.010])
     found = latency.percentiles().get("received to drawn")
     assert found is not None and np.allclose(found, 10)
     assert "sent to received: p50 0.50 ms, p95 1.00" in latency.summary()[0]
-    assert not (tmp_path / "l.csv").exists()
-    latency.close()
-    rows = (tmp_path / "l.csv").read_text().splitlines()
-    assert rows[0] + "\n" == HEADER and len(rows) == 101
-    number, sent, *_, clock, travelled, waited, drawing, whole = rows[2].split(",")
-    assert (number, float(sent), clock) == ("1", 1.0, "relative")
-    assert np.allclose([float(x) for x in (travelled, waited, drawing, whole)], [1, 2, 8, 10])
-
-
-def test_a_stamp_file_that_cannot_be_written_is_one_line(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(AssetError, match="there is no folder"):
-        Latency(tmp_path / "file" / "l.csv")

@@ -1,4 +1,4 @@
-"""Fingers: curls and spreads read back, presets do what they are called, on both hands and inside the limits."""
+"""Fingers: curls and presets read back on both hands and inside the limits; the mirror, which twice is nothing."""
 
 import numpy as np
 import pytest
@@ -9,10 +9,10 @@ from avatar.body import builtin_body
 from avatar.limits import joint_angles, within
 from avatar.motion.fingers import FINGERS, relaxed_hands
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND, joint_transforms, skin_transforms
+from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND, joint_transforms, skin_transforms
 from avatar.skinning import skin_points
 from player.pose.fingers import PRESETS, HandShape, hand_shape, with_finger, with_hand
-from player.pose.mirror import mirrored
+from player.pose.mirror import PARTNER, mirrored, mirrored_in_place, onto_other_side
 
 SOME = settings(max_examples=15, deadline=None, derandomize=True)
 FLAT = np.zeros((52, 3))
@@ -91,11 +91,19 @@ def tip(body, preset, finger):
     return skin_points(body.vertices, body.skin, transforms)[vertex]
 
 
-def test_relaxed_is_what_hands_relaxed_of_the_command_line_is():
+def test_relaxed_is_as_on_the_command_line_and_curls_stop_at_the_limits():
     pose = with_hand(with_hand(FLAT, "left", PRESETS["relaxed"]), "right", PRESETS["relaxed"])
     gap = matrix_from_axis_angle(pose[22:]) @ matrix_from_axis_angle(relaxed_hands()).swapaxes(1, 2)
     angle = np.arccos(np.clip((np.trace(gap, axis1=1, axis2=2) - 1) / 2, -1, 1))
     assert np.degrees(angle.max()) < 2.0
+    out = with_finger(FLAT, "left", 0, curl=5.0)
+    assert within(out).all() and np.degrees(joint_angles(out)[22, 0]) == pytest.approx(90)
+    joints = builtin_body("male").joints.astype(float)
+    for finger, sign in ((0, 1), (2, -1), (3, -1)):  # the thumb's side is +z
+        pose = with_finger(FLAT, "left", finger, spread=0.2)
+        k = 22 + 3 * finger + 2
+        way = joint_transforms(pose, joints)[k, :3, 3] - joints[k]
+        assert sign * way[2] > 0.004
 
 
 @SOME
@@ -115,12 +123,62 @@ def test_one_finger_moves_alone_and_keeps_what_is_its_own(seed, finger, curl, si
     assert shape.curl[finger] == pytest.approx(curl, abs=1e-9)
 
 
-def test_a_curl_beyond_the_limits_stops_there_and_spreading_goes_outwards():
-    out = with_finger(FLAT, "left", 0, curl=5.0)
-    assert within(out).all() and np.degrees(joint_angles(out)[22, 0]) == pytest.approx(90)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def any_pose(seed):
+    return np.random.default_rng(seed).normal(size=(52, 3)) * 0.6
+
+
+def symmetric_joints():
     joints = builtin_body("male").joints.astype(float)
-    for finger, sign in ((0, 1), (2, -1), (3, -1)):  # the thumb's side is +z
-        pose = with_finger(FLAT, "left", finger, spread=0.2)
-        k = 22 + 3 * finger + 2
-        way = joint_transforms(pose, joints)[k, :3, 3] - joints[k]
-        assert sign * way[2] > 0.004
+    return 0.5 * (joints + joints[PARTNER] * [-1, 1, 1])
+
+
+def test_partners_are_pairs_and_one_side_is_put_onto_the_other():
+    assert np.array_equal(PARTNER[PARTNER], np.arange(52))
+    assert sum(np.arange(52) == PARTNER) == 6  # pelvis, three of the spine, neck, head
+    assert JOINTS[PARTNER[JOINTS.index("left_ring2")]] == "right_ring2"
+    assert np.array_equal(PARTNER[PARENTS[1:]], PARENTS[PARTNER[1:]])
+    pose = any_pose(2)
+    arm = [JOINTS.index(f"left_{p}") for p in ("shoulder", "elbow", "wrist")]
+    out = onto_other_side(pose, arm)
+    assert np.array_equal(out[PARTNER[arm]], pose[arm] * [1, -1, -1])
+    rest = np.setdiff1d(np.arange(52), PARTNER[arm])
+    assert np.array_equal(out[rest], pose[rest])
+    pose = any_pose(1)
+    pose[0] = [-np.pi / 2, 0, 0]
+    assert np.array_equal(mirrored_in_place(pose), mirrored(pose))
+
+
+@SOME
+@given(seeds)
+def test_mirroring_twice_is_nothing_to_the_last_bit(seed):
+    pose = any_pose(seed)
+    assert np.array_equal(mirrored(mirrored(pose)), pose)
+    batch = np.stack([pose, -pose])
+    assert np.array_equal(mirrored(batch)[1], mirrored(-pose))
+
+
+@SOME
+@given(seeds)
+def test_the_posed_joints_are_the_mirror_image(seed):
+    pose, joints = any_pose(seed), symmetric_joints()
+    root = np.random.default_rng(seed + 1).normal(size=3)
+    one = joint_transforms(pose, joints, root)[:, :3, 3]
+    other = joint_transforms(mirrored(pose), joints, root * [-1, 1, 1])[:, :3, 3]
+    np.testing.assert_allclose(other, one[PARTNER] * [-1, 1, 1], atol=1e-12)
+
+
+@SOME
+@given(seeds)
+def test_in_place_the_heading_and_the_height_of_every_joint_stay(seed):
+    pose, joints = any_pose(seed), symmetric_joints()
+    out = mirrored_in_place(pose)
+    back = mirrored_in_place(out)
+    np.testing.assert_allclose(matrix_from_axis_angle(back), matrix_from_axis_angle(pose), atol=1e-10)
+    a, b = (matrix_from_axis_angle(p[0])[:, 2] for p in (pose, out))
+    np.testing.assert_allclose(np.arctan2(a[0], a[2]), np.arctan2(b[0], b[2]), atol=1e-9)
+    one, other = (joint_transforms(p, joints)[:, :3, 3] for p in (pose, out))
+    np.testing.assert_allclose(other[PARTNER, 1], one[:, 1], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(other[PARTNER], axis=1), np.linalg.norm(one, axis=1), atol=1e-9)

@@ -1,4 +1,6 @@
-"""The session: undo and redo in any order, drags as one step, copy and paste, keyframes, what counts as saved."""
+"""The session: undo and redo in any order, drags as one step; the library keeps poses to the last bit."""
+
+import dataclasses
 
 import numpy as np
 import pytest
@@ -7,14 +9,18 @@ from hypothesis import strategies as st
 
 from avatar.body import builtin_body
 from avatar.limits import joint_angles, within
+from avatar.motion.amass import write_amass
+from avatar.motion.clip import Clip
 from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.errors import AssetError
+from player.draw.posing import grounded
 from player.pose.fingers import PRESETS
+from player.pose.history import Pose
 from player.pose.ik import LIMBS
-from player.pose.keyframes import Pose, clip_of, pose_at, with_key
-from player.pose.mirror import PARTNER, hand_joints, limb_of
+from player.pose.library import BUILTIN, Library, builtin_pose, check_name, user_folder
+from player.pose.mirror import limb_of
 from player.pose.session import PoseSession, turned
 
 SOME = settings(max_examples=12, deadline=None, derandomize=True)
@@ -28,7 +34,7 @@ def session(**more):
 
 def act(s, rng):
     """One change of any kind."""
-    kind = rng.integers(0, 12)
+    kind = rng.integers(0, 8)
     joint, side = int(rng.integers(0, 52)), ("left", "right")[rng.integers(0, 2)]
     if kind == 0:
         s.set_angle(joint, int(rng.integers(0, 3)), float(rng.normal()))
@@ -47,43 +53,28 @@ def act(s, rng):
     elif kind == 5:
         s.mirror()
     elif kind == 6:
-        s.copy(limb_of(joint))
-        s.paste(mirrored=bool(rng.integers(0, 2)))
-    elif kind == 7:
-        s.key()
-    elif kind == 8:
-        s.seek(int(rng.integers(0, 30)))
-    elif kind == 9:
-        s.delete_key()
-    elif kind == 10:
-        s.ease(("linear", "smooth")[rng.integers(0, 2)])
+        s.to_other_side(limb_of(joint))
     else:
         s.move(s.pose, s.pose.root + rng.normal(size=3) * 0.05)
 
 
 @SOME
 @given(seeds)
-def test_undo_walks_back_through_every_state_and_redo_forth(seed):
+def test_undo_walks_back_through_every_pose_and_redo_forth(seed):
     s, rng = session(), np.random.default_rng(seed)
-    seen = [s.state]
     for _ in range(15):
-        before = len(s.history.past)
         act(s, rng)
-        if len(s.history.past) > before:
-            seen.append(s.state)
-        else:
-            seen[-1] = s.state  # moving along the timeline is no step
     assert within(s.pose.axis_angle, 1e-6).all()
-    states = [state for _, state in s.history.past]
-    last = s.state
+    poses = [pose for _, pose in s.history.past]
+    last = s.pose
     walked = []
     while s.undo() is not None:
-        walked.append(s.state)
-    assert walked == states[::-1] and s.undo() is None
+        walked.append(s.pose)
+    assert walked == poses[::-1] and s.undo() is None
     walked = []
     while s.redo() is not None:
-        walked.append(s.state)
-    assert walked == [*states[1:], last][: len(walked)] and s.state is last and s.redo() is None
+        walked.append(s.pose)
+    assert walked == [*poses[1:], last] and s.redo() is None
 
 
 def test_a_drag_is_one_step_and_one_that_led_nowhere_is_none():
@@ -133,31 +124,17 @@ def test_limits_touch_only_what_a_change_touches_and_can_be_turned_off():
         s.put("x", np.full((52, 3), np.nan))
 
 
-def test_copy_and_paste_of_a_joint_a_limb_a_hand_and_the_whole_to_either_side():
-    rng = np.random.default_rng(1)
-    source = rng.normal(size=(52, 3)) * 0.1
-    source[0] = 0
-    for joints in ([J["left_elbow"]], limb_of(J["left_wrist"]), hand_joints("left"), range(52)):
-        for mirrored in (False, True):
-            s = session(axis_angle=source)
-            s.copy(joints)
-            s.limited = False
-            s.put("other", np.zeros((52, 3)))
-            s.paste(mirrored=mirrored)
-            onto = PARTNER[list(joints)] if mirrored else list(joints)
-            wanted = source[list(joints)] * ([1, -1, -1] if mirrored else [1, 1, 1])
-            np.testing.assert_allclose(s.pose.axis_angle[onto], wanted, atol=1e-12)
-            assert not np.delete(s.pose.axis_angle, onto, 0).any()
-            assert s.undo() == "paste" and not s.pose.axis_angle.any()
-    empty = session()
-    empty.paste()
-    assert not empty.history.past
-
-
 def test_limbs_divide_the_body():
     limbs = {limb_of(k) for k in range(1, 52)}
     assert sorted(k for limb in limbs for k in limb) == list(range(1, 52)) and len(limbs) == 5
     assert J["left_thumb3"] in limb_of(J["left_collar"]) and J["left_foot"] in limb_of(J["left_hip"])
+    mine = np.zeros((52, 3))
+    pose = Pose(mine, np.zeros(3))
+    mine[0] = 1
+    assert not pose.axis_angle.any()
+    with pytest.raises(ValueError, match="read-only"):
+        pose.axis_angle[0] = 1
+    assert PARENTS[J["left_elbow"]] == J["left_shoulder"]
 
 
 @SOME
@@ -205,89 +182,6 @@ def test_reaching_puts_the_wrist_there_and_limits_come_last():
     assert within(s.pose.axis_angle, 1e-6).all()
 
 
-def keyed_session():
-    s = session()
-    s.key()
-    s.seek(10)
-    s.set_angle(J["left_elbow"], 0, 1.2)
-    s.move(s.pose, s.pose.root + [0.3, 0, 0])
-    s.key()
-    s.seek(25)
-    s.set_angle(J["left_elbow"], 0, 0.2)
-    s.set_angle(0, 1, 2.5)
-    s.key()
-    return s
-
-
-def test_keys_are_met_exactly_and_between_them_joints_turn_evenly():
-    s = keyed_session()
-    assert [f for f, _ in s.keys] == [0, 10, 25]
-    for frame, pose in s.keys:
-        assert pose_at(s.keys, frame) is pose
-    angles = [joint_angles(pose_at(s.keys, f).axis_angle)[J["left_elbow"], 0] for f in np.arange(0, 10.01, 0.5)]
-    np.testing.assert_allclose(np.diff(angles), 0.06, atol=1e-9)
-    np.testing.assert_allclose(pose_at(s.keys, 4).root - s.keys[0][1].root, [0.12, 0, 0], atol=1e-12)
-    eased = [pose_at(s.keys, f, "smooth").root[0] for f in (0, 1, 5, 9, 10)]
-    assert eased[1] < 0.01 and eased[2] == pytest.approx(0.15) and eased[3] > 0.29 and eased[4] == 0.3
-    assert pose_at(s.keys, -3) is s.keys[0][1] and pose_at(s.keys, 99) is s.keys[-1][1]
-    with pytest.raises(ValueError, match="without keys"):
-        pose_at((), 0)
-    with pytest.raises(ValueError, match="is -1"):
-        with_key((), -1, s.pose)
-
-
-def test_the_pose_follows_the_timeline_and_an_unkeyed_change_is_not_lost():
-    s = keyed_session()
-    steps = len(s.history.past)
-    s.seek(10)
-    s.seek(4)
-    assert len(s.history.past) == steps and s.pose.same(pose_at(s.keys, 4)) and not s.state.unkeyed
-    s.set_angle(J["head"], 0, 0.3)
-    changed = s.pose
-    assert s.state.unkeyed
-    s.seek(20)
-    assert s.pose.same(pose_at(s.keys, 20))
-    assert s.undo() == "go to frame" and s.pose is changed and s.frame == 4
-    s.key()
-    assert [f for f, _ in s.keys] == [0, 4, 10, 25]
-    s.delete_key(4)
-    assert [f for f, _ in s.keys] == [0, 10, 25]
-    s.undo()
-    assert dict(s.keys)[4] is changed
-    s.auto_key = True
-    s.seek(15)
-    s.set_angle(J["head"], 2, 0.2)
-    assert dict(s.keys)[15] is s.pose and not s.state.unkeyed
-
-
-@pytest.mark.parametrize("up", ["y", "z"])
-@pytest.mark.parametrize("easing", ["linear", "smooth"])
-def test_keys_come_back_from_their_file_and_it_plays_as_a_motion(tmp_path, up, easing):
-    s = keyed_session()
-    s.ease(easing)
-    assert s.history.dirty
-    s.save(tmp_path / "keys.npz", up=up)
-    assert not s.history.dirty
-    other = session()
-    other.load(tmp_path / "keys.npz")
-    assert [f for f, _ in other.keys] == [0, 10, 25] and other.state.easing == easing and not other.history.dirty
-    for (_, a), (_, b) in zip(s.keys, other.keys, strict=True):
-        if up == "y":
-            assert a.same(b)
-        np.testing.assert_allclose(
-            matrix_from_axis_angle(b.axis_angle), matrix_from_axis_angle(a.axis_angle), atol=1e-12
-        )
-        np.testing.assert_allclose(b.root, a.root, atol=1e-12)
-    clip = read_motion(tmp_path / "keys.npz").read()
-    wanted = clip_of(s.keys, s.rate, easing)
-    assert clip.rate == 30 and clip.pelvis_height == 0.95 and len(clip.root) == 26
-    np.testing.assert_allclose(
-        matrix_from_axis_angle(clip.axis_angle), matrix_from_axis_angle(wanted.axis_angle), atol=1e-12
-    )
-    other.undo()
-    assert other.history.dirty and not other.keys
-
-
 def test_a_saved_pose_is_a_motion_of_one_frame_fitted_to_whoever_takes_it(tmp_path):
     s = session()
     s.set_angle(J["right_hip"], 0, 0.7)
@@ -306,40 +200,18 @@ def test_a_saved_pose_is_a_motion_of_one_frame_fitted_to_whoever_takes_it(tmp_pa
     np.testing.assert_allclose(taller.pose.axis_angle, s.pose.axis_angle, atol=1e-12)
 
 
-def test_any_amass_file_can_be_taken_apart_into_keys_and_broken_ones_change_nothing(tmp_path):
-    from avatar.motion.amass import write_amass
-    from avatar.motion.clip import Clip
-
+def test_the_first_pose_of_any_motion_is_taken_and_a_broken_file_changes_nothing(tmp_path):
     rng = np.random.default_rng(5)
     clip = Clip(rng.normal(size=(7, 52, 3)) * 0.3, rng.normal(size=(7, 3)), 24.0)
     write_amass(tmp_path / "a.npz", clip, up="y")
     s = session()
     s.load(tmp_path / "a.npz")
-    assert len(s.keys) == 7 and s.rate == 24 and np.array_equal(s.keys[3][1].axis_angle, clip.axis_angle[3])
-    before = s.state
+    assert np.array_equal(s.pose.axis_angle, clip.axis_angle[0]) and not s.history.dirty
+    before = s.pose
     (tmp_path / "b.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:300])
-    for bad in (np.array([3, 2]), np.array([0, 9]), np.array([0.5]), np.array([], int), np.array([[1]])):
-        write_amass(tmp_path / "c.npz", clip, beside={"key_frames": bad})
-        with pytest.raises(AssetError, match=r"c\.npz: key_frames should be growing"):
-            s.load(tmp_path / "c.npz")
-    write_amass(tmp_path / "c.npz", clip, beside={"key_frames": np.array([0]), "key_easing": np.array("odd")})
-    with pytest.raises(AssetError, match="key_easing"):
-        s.load(tmp_path / "c.npz")
     with pytest.raises(AssetError, match=r"b\.npz"):
         s.load(tmp_path / "b.npz")
-    assert s.state is before
-    with pytest.raises(ValueError, match="names of its own"):
-        write_amass(tmp_path / "c.npz", clip, beside={"poses": np.zeros(3)})
-
-
-def test_poses_are_copies_that_nobody_writes_to():
-    mine = np.zeros((52, 3))
-    pose = Pose(mine, np.zeros(3))
-    mine[0] = 1
-    assert not pose.axis_angle.any()
-    with pytest.raises(ValueError, match="read-only"):
-        pose.axis_angle[0] = 1
-    assert PARENTS[J["left_elbow"]] == J["left_shoulder"]
+    assert s.pose is before
 
 
 @pytest.mark.parametrize("angle", [-3.0, 0.4, 3.1])
@@ -355,3 +227,103 @@ def test_a_turn_turns_the_joint_and_what_hangs_on_it_about_the_axis(angle):
     np.testing.assert_allclose(after[:3, 3], before[:3, 3], atol=1e-12)
     assert np.array_equal(np.delete(out, joint, 0), np.delete(pose.axis_angle, joint, 0))
     assert np.array_equal(turned(pose, joints, joint, axis, 0.0), pose.axis_angle)
+
+
+ROOT = np.array([0.5, 0.0, -1.0])
+
+
+def lowest(avatar, axis_angle):
+    """Height of the lowest point above the pelvis."""
+    return -grounded(avatar, axis_angle, np.zeros(3))[1]
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_built_in_poses_are_inside_the_limits_and_on_the_ground(name, avatar):
+    pose = Library("/nowhere").read(name, root=ROOT, ground=lambda pose, root: grounded(avatar, pose, root))
+    assert within(pose.axis_angle).all()
+    assert pose.root[1] + lowest(avatar, pose.axis_angle) == pytest.approx(0, abs=1e-9)
+    assert np.array_equal(pose.root[[0, 2]], ROOT[[0, 2]])
+
+
+def test_the_ground_is_of_the_third_level_and_the_folder_the_desktops(avatar, monkeypatch, tmp_path):
+    fine = avatar.levels[0]
+    sunk = dataclasses.replace(fine, positions=fine.positions - np.float32([0, 0.01, 0]))
+    high = dataclasses.replace(fine, positions=fine.positions + np.float32([0, 0.5, 0]))
+    still = np.zeros((52, 3))
+    four, two, one = (
+        lowest(avatar, still) - lowest(dataclasses.replace(avatar, levels=levels), still)
+        for levels in ((fine, fine, sunk, high), (fine, sunk), (fine,))
+    )
+    assert four == two > 0.005 and one == 0  # legs are spread in the canonical pose: less than the centimetre
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert user_folder() == tmp_path / "selfscan" / "poses"
+    monkeypatch.setenv("XDG_DATA_HOME", "relative")  # the rule says: ignored
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert user_folder() == tmp_path / "home" / ".local" / "share" / "selfscan" / "poses"
+
+
+def test_built_in_poses_look_like_their_names(avatar):
+    joints = avatar.joint_positions.astype(float)
+
+    def at(name):
+        places = joint_transforms(builtin_pose(name), joints)[:, :3, 3]
+        return dict(zip(JOINTS, places, strict=True))
+
+    assert not builtin_pose("T-pose").any()
+    assert at("victory")["left_wrist"][1] > at("victory")["head"][1] + 0.2
+    assert at("waving")["right_wrist"][1] > at("waving")["right_elbow"][1] + 0.15 > at("waving")["left_wrist"][1]
+    assert at("pointing")["right_wrist"][2] > 0.35
+    sitting = at("sitting")
+    assert sitting["left_knee"][2] > 0.35 and abs(sitting["left_knee"][1] - sitting["left_hip"][1]) < 0.05
+    assert sitting["left_ankle"][1] < sitting["left_knee"][1] - 0.35
+    assert at("squatting")["pelvis"][1] - at("squatting")["left_ankle"][1] < 0.45
+    assert at("bowing")["head"][2] > 0.35
+    thinking = at("thinking")
+    assert np.linalg.norm(thinking["right_middle1"] - thinking["head"]) < 0.25
+    assert abs(at("standing")["left_wrist"][0]) < 0.45 < at("A-pose")["left_wrist"][0] < at("T-pose")["left_wrist"][0]
+    with pytest.raises(ValueError, match="no built-in pose 'dab'"):
+        builtin_pose("dab")
+
+
+def test_a_kept_pose_comes_back_to_the_last_bit_and_plays(tmp_path):
+    library = Library(tmp_path / "poses")
+    assert library.names() == list(BUILTIN)  # an absent folder is an empty one
+    rng = np.random.default_rng(0)
+    pose = Pose(rng.normal(size=(52, 3)), rng.normal(size=3))
+    path = library.write("My pose é 1", pose, pelvis_height=0.97)
+    assert library.names() == [*BUILTIN, "My pose é 1"]
+    back = library.read("My pose é 1", root=ROOT, pelvis_height=0.97)
+    assert back.same(pose)
+    assert np.array_equal(read_motion(path).read().axis_angle[0], pose.axis_angle)
+    other = Pose(pose.axis_angle, pose.root + 1)
+    library.write("My pose é 1", other, pelvis_height=0.97)
+    assert library.read("My pose é 1", root=ROOT).same(other)
+    assert [p.name for p in (tmp_path / "poses").iterdir()] == ["My pose é 1.npz"]  # nothing half-written beside
+    library.write("a", pose)
+    assert library.names()[-2:] == ["a", "My pose é 1"]
+    library.delete("My pose é 1")
+    assert library.names() == [*BUILTIN, "a"]
+
+
+def test_what_cannot_be_kept_is_refused_and_what_was_there_stays(tmp_path):
+    library = Library(tmp_path)
+    pose = Pose(np.zeros((52, 3)), np.zeros(3))
+    for name in ("", "  ", "a/b", "..", "a\\b", "x\n", "T-pose", "t-POSE", ".x", "x.", " x", "a" * 81, 'q"', "a:b"):
+        with pytest.raises(ValueError, match="pose"):
+            library.write(name, pose)
+    assert not list(tmp_path.iterdir())
+    library.write("good", pose)
+    bad = Pose(np.full((52, 3), np.nan), np.zeros(3))
+    with pytest.raises(ValueError, match="finite"):
+        library.write("good", bad)
+    assert library.read("good", root=ROOT).same(pose)
+    for name in ("T-pose", "never"):
+        with pytest.raises(ValueError, match="pose"):
+            library.delete(name)
+    with pytest.raises(AssetError, match="no pose 'never'"):
+        library.read("never", root=ROOT)
+    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 not an archive")
+    assert "broken" in library.names()
+    with pytest.raises(AssetError, match=r"broken\.npz"):
+        library.read("broken", root=ROOT)
+    check_name("Ärm hoch (2)")

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tiny_avatar import tiny_avatar, tiny_high_avatar
+from tiny_avatar import tiny_avatar
 
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.clip import Clip
@@ -31,22 +31,20 @@ def test_the_rule_for_shaders():
         program({"VIEW_STAGE": 0, "NONSENSE": 1}, {})
 
 
-def test_effects_that_a_page_does_not_have_are_off():
+def test_programs_are_those_of_the_view_modes_without_effects():
     """A new effect of the shaders leaves the page as it is."""
     vertex = program({"VIEW_STAGE": 0}, {})["vertex"]
     assert {"#define LIT 0", "#define SKINNING 0", "#define VIEW_STAGE 0"} <= set(vertex.splitlines())
-
-
-def test_an_avatar_has_a_program_for_each_view_mode_it_holds():
     assert list(programs(tiny_avatar())) == ["off", "vertex", "linear", "network"]
     assert list(programs(tiny_avatar(network=None, default_view="linear"))) == ["off", "vertex", "linear"]
     bare = tiny_avatar()
     level = dataclasses.replace(bare.levels[0], features=None)
     assert list(programs(dataclasses.replace(bare, levels=(level,), default_view="off"))) == ["off"]
-    assert "more_features" in programs(tiny_high_avatar())["network"]["fragment"]
+    assert page.filled("<@A@ at@home @B@>", {"A": "@B@", "B": "x"}) == "<@B@ at@home x>"
+    assert "</script" not in page.json_element({"name": "</script><b>"})
 
 
-def test_numbers_come_back_within_a_step():
+def test_numbers_come_back_within_a_step_turns_do_not_jump_and_features_are_of_neighbours():
     rng = np.random.default_rng(0)
     values = rng.normal(size=(50, 3)).astype(np.float32)
     for width in (2, 3):
@@ -57,18 +55,12 @@ def test_numbers_come_back_within_a_step():
         steps = np.cumsum(change.reshape(3, 50), axis=1).T % 256**width
         back = np.array(how["offset"]) + np.array(how["scale"]) * steps
         assert np.abs(back - values).max() <= 0.51 * max(how["scale"])
-
-
-def test_features_are_told_by_their_neighbours():
     image = np.random.default_rng(1).integers(0, 256, (3, 5, 4)).astype(np.uint8)
     flat = np.full((3, 5, 4), 7, np.uint8)
     assert len(packing.paeth(image)) == image.size
     # one value, then nothing new in each plane
     assert np.frombuffer(packing.paeth(flat), np.uint8).reshape(4, -1).tolist() == [[7] + 14 * [0]] * 4
-
-
-def test_a_turn_past_the_half_does_not_jump():
-    """Quaternions of neighbouring frames lie on one side: what is between them is between."""
+    # Quaternions of neighbouring frames lie on one side: what is between them is between.
     axis_angle = np.zeros((20, 52, 3))
     axis_angle[:, 0, 1] = np.linspace(3.0, 3.3, 20)
     axis_angle[axis_angle > np.pi] -= 2 * np.pi
@@ -76,11 +68,6 @@ def test_a_turn_past_the_half_does_not_jump():
     spread = np.array(packed.facts["turns"]["scale"]) * (256**packing.FINE - 1)
     # y and w of the pelvis go a little way, none from one side of the sphere to the other
     assert 0 < spread[1] < 0.05 and 0.1 < spread[3] < 0.2
-
-
-def test_a_template_takes_text_as_it_is():
-    assert page.filled("<@A@ at@home @B@>", {"A": "@B@", "B": "x"}) == "<@B@ at@home x>"
-    assert "</script" not in page.json_element({"name": "</script><b>"})
 
 
 def test_the_command(tmp_path, capsys):

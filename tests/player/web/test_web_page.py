@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from browser_page import browser_page
 from chromium import chromium
-from interchange.test_three_js import bent, decibels, painted
+from interchange.test_export import decibels, painted
 
 from avatar.camera import orbit_camera
 from avatar.motion.clip import Motion
@@ -26,9 +26,9 @@ FROM = {"distance": 2.6, "azimuth": 0.3, "elevation": 0.1}
 VIEWS = ["off", "vertex", "linear", "network"]
 
 
-def two_poses():
+def two_poses(bent):
     """T-pose, then bent."""
-    poses = [(np.zeros((52, 3)), np.zeros(3)), bent()]
+    poses = [(np.zeros((52, 3)), np.zeros(3)), bent]
 
     def block(start, stop):
         return np.stack([p for p, _ in poses[start:stop]]), np.stack([r for _, r in poses[start:stop]])
@@ -37,11 +37,11 @@ def two_poses():
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory):
+def page(tmp_path_factory, pose):
     """A page of the built-in body in soft stripes with a random network, and a browser."""
     chromium()
     folder = tmp_path_factory.mktemp("web")
-    avatar, (poses, motion) = painted(), two_poses()
+    avatar, (poses, motion) = painted(), two_poses(pose)
     write_page(folder / "me.html", avatar, motion, 0, 2, "A & B </script>")
     (folder / "profile").mkdir()
     with browser_page(folder / "profile") as tab:
@@ -117,8 +117,8 @@ def test_textures_arrive_to_the_byte(page):
       gl.bindFramebuffer(gl.FRAMEBUFFER, into);
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture.texture, 0);
       const pixels = selfscan.drawing.pixels(into, ...texture.size);
-      const out = new Uint8Array(pixels.length + features[0].length);
-      out.set(pixels); out.set(features[0], pixels.length);
+      const out = new Uint8Array(pixels.length + features.length);
+      out.set(pixels); out.set(features, pixels.length);
       return out; })()"""
     data, level = tab.bytes(code), avatar.levels[0]
     height, width, _ = level.base_color.shape
@@ -169,7 +169,11 @@ def test_a_lost_context_comes_back(page):
     assert np.array_equal(shown, tab.frame())
 
 
-def test_the_first_picture_is_timed_and_told(page):
+def test_the_title_holds_and_the_first_picture_is_timed(page):
+    tab, path, *_ = page
+    tab.open(path)
+    assert tab.ask("document.title") == "A & B </script>"
+    assert path.stat().st_size < MOST_BYTES
     tab, path, *_ = page
     tab.open(path)
     timing = tab.ask("selfscan.drawing.timing")
@@ -180,10 +184,3 @@ def test_the_first_picture_is_timed_and_told(page):
     told = f"first picture after {first} ms{steps}, drawn by"
     assert told in tab.ask("document.getElementById('facts').textContent")
     tab.wait("document.getElementById('price').textContent.includes('ms a frame here')")
-
-
-def test_title_and_bytes(page):
-    tab, path, *_ = page
-    tab.open(path)
-    assert tab.ask("document.title") == "A & B </script>"
-    assert path.stat().st_size < MOST_BYTES
