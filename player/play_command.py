@@ -121,7 +121,7 @@ class PlayCommand:
 
 PLAY = Help(
     "selfscan play",
-    "Avatars in a window: orbit, scrub, pick, compare with the video.",
+    "Avatars in a window: orbit, scrub, pick, film, compare with the video.",
     f"{EXAMPLES}\nh in the window lists keys and gestures; docs/play.md has more",
     command_line_help(),
 )

@@ -134,6 +134,7 @@ POSE = Action("pose the selected avatar by hand, or stop", ("p",), lambda parts:
 T_POSE = Action("take the T-pose of the sender in 3 seconds", ("t",), ask_for_t_pose)
 
 SCREENSHOT = Action("save a screenshot, without panels", ("s",), lambda parts: parts.recorder.shoot())
+FILM = Action("start or end a film, without panels", ("o",), lambda parts: parts.recorder.toggle_film())
 PANELS = Action("show or hide the panels", ("g",), toggle_panels)
 HELP = Action("show or hide this list of keys", ("h", "f1"), toggle_help)
 QUIT = Action("quit", ("q", "escape"), lambda parts: parts.close())
@@ -160,7 +161,7 @@ GROUPS = (
     ),
     KeyGroup("Camera", (NEXT_CAMERA, RESET_CAMERA, FOLLOW, ADD_CAMERA_KEY, SAVE_CAMERA_PATH)),
     KeyGroup("Avatars", (NEXT_AVATAR, VIEW, POSE)),
-    KeyGroup("Window", (SCREENSHOT, PANELS, HELP, CLOSE_HELP, QUIT)),
+    KeyGroup("Window", (SCREENSHOT, FILM, PANELS, HELP, CLOSE_HELP, QUIT)),
     VIDEO,
     KeyGroup("Live", (T_POSE,), lambda parts: bool(parts.state.playback.live)),
     POSING,

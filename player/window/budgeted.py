@@ -34,9 +34,9 @@ class Budgeted:
         self.controller: BudgetController | None = BudgetController(priced, budget, chosen)
         self._show()
 
-    def frame(self, ms: float) -> None:
-        """A frame took so long."""
-        if self.controller is None:
+    def frame(self, ms: float, *, filming: bool) -> None:
+        """A frame took so long. A film keeps what it began with."""
+        if self.controller is None or filming:
             return
         rung = self.controller.current.rung
         if self._look.effects.view != rung.view or self._look.rung != rung:

@@ -50,6 +50,6 @@ def opened_parts(show: Show, screen: Screen, clock: Callable[[], float]) -> Wind
         viewpoint=Viewpoint(state, show.cameras, capture=capture, follow=show.follow),
         look=Appearance(screen.context, show, messages),
         posing=Posing(state),
-        recorder=Recorder(state.messages),
+        recorder=Recorder(state, clock),
         wipe=Wipe(screen.context, capture) if capture is not None else None,
     )

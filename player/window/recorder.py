@@ -1,32 +1,120 @@
-"""Screenshots of what the window shows, without its panels and text."""
+"""Screenshots and films of what the window shows, without its panels and text."""
 
+import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from command.progress import plural
 from files.whole import whole_file
-from player.window.state import Messages
+from player.film.film import Film
+from player.window.state import WindowState
+
+FASTEST = 60.0  # frames a second of a film
+# frames of a live film that a late picture stands for
+MOST_AT_ONCE = 10
+
+
+class WindowFilm:
+    """A film being written from the window.
+
+    A motion from a file is filmed frame after frame, however long each takes to draw: `step` is the time that passes
+    between them. Live poses are filmed by the clock: a late picture stands for all frames it is late by.
+    """
+
+    def __init__(self, path: Path, rate: float, *, live: bool):
+        self.path, self.live = path, live
+        self.rate = rate / max(1, math.ceil(rate / FASTEST))
+        self.film = Film(path, self.rate)
+        self.film.__enter__()
+        self.size: tuple[int, int] | None = None
+        self.began: float | None = None
+        self.frames = 0
+
+    @property
+    def step(self) -> float | None:
+        """Seconds from frame to frame; None: by the clock."""
+        return None if self.live else 1 / self.rate
+
+    def add(self, image: UInt8[np.ndarray, "height width 4"], now: float) -> bool:
+        """The picture of now; False when it has another size than the film."""
+        size = (image.shape[1], image.shape[0])
+        self.size, self.began = self.size or size, now if self.began is None else self.began
+        if size != self.size:
+            return False
+        count = 1
+        if self.live:
+            count = min(max(int((now - self.began) * self.rate) + 1 - self.frames, 0), MOST_AT_ONCE)
+        for _ in range(count):
+            self.film.add(image)
+        self.frames += count
+        return True
+
+    def close(self) -> str:
+        """Write the film; what was done, in one line.
+
+        Raises:
+            AssetError: it could not be written.
+        """
+        if not self.frames:
+            self.film.__exit__(ValueError, ValueError("no frames"), None)
+            return f"{self.path}: no frame was drawn, no film written"
+        self.film.__exit__(None, None, None)
+        return f"{self.path} written: {plural(self.frames, 'frame')}, {self.rate:g} a second"
 
 
 class Recorder:
-    """Takes a screenshot when it is asked for."""
+    """Takes screenshots and films, each when it is asked for."""
 
-    def __init__(self, messages: Messages):
-        self._messages = messages
-        self.wants_picture = False
+    def __init__(self, state: WindowState, clock: Callable[[], float]):
+        self._state, self._clock = state, clock
+        self.film: WindowFilm | None = None
+        self._shoot = False
+
+    @property
+    def wants_picture(self) -> bool:
+        return self._shoot or self.film is not None
+
+    @property
+    def step(self) -> float | None:
+        """Seconds that pass from frame to frame while a motion is filmed; None: by the clock."""
+        return None if self.film is None else self.film.step
 
     def shoot(self, *, on: bool = True) -> None:
         """A screenshot of the next frame."""
-        self.wants_picture = on
+        self._shoot = on
+
+    def toggle_film(self) -> None:
+        """Start a film, or write the one that runs."""
+        say = self._state.messages.say
+        if self.film is not None:
+            film, self.film = self.film, None
+            say(film.close())
+            return
+        live = bool(self._state.playback.live)
+        rate = 30.0 if live else self._state.timeline.rate
+        self.film = WindowFilm(free_name("selfscan", ".mp4"), rate, live=live)
+        say(f"filming {self.film.path}; o ends it")
 
     def take(self, image: UInt8[np.ndarray, "height width 4"]) -> None:
-        """The picture of now."""
-        self.wants_picture = False
-        name = free_name("selfscan", ".png")
-        save_picture(name, image)
-        self._messages.say(f"{name} written")
+        """The picture of now, for the screenshot and the film."""
+        say = self._state.messages.say
+        if self.film is not None and not self.film.add(image, self._clock()):
+            self.toggle_film()
+            say("the picture has another size now: the film ends here")
+        if self._shoot:
+            self._shoot = False
+            name = free_name("selfscan", ".png")
+            save_picture(name, image)
+            say(f"{name} written")
+
+    def close(self) -> None:
+        """Write the film that runs."""
+        if self.film is not None:
+            self.toggle_film()
 
 
 def save_picture(path: Path, image: UInt8[np.ndarray, "height width channels"]) -> None:

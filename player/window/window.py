@@ -144,7 +144,8 @@ class Window:
 
     def advance(self, dt: float) -> None:
         """Let time pass for everything. A stall counts as LONGEST_STEP; a clock going backwards stands still."""
-        dt = min(max(dt, 0.0), LONGEST_STEP)
+        step = self.parts.recorder.step
+        dt = min(max(dt if step is None else step, 0.0), LONGEST_STEP)
         self._moved += dt
         self.parts.state.playback.advance(dt)
         self.parts.viewpoint.cameras.advance(dt)
@@ -185,7 +186,7 @@ class Window:
         if parts.budget is not None:
             # the work itself, whatever the screen waits for
             self.screen.context.gl.finish()
-            parts.budget.frame(1e3 * (self.clock() - began))
+            parts.budget.frame(1e3 * (self.clock() - began), filming=parts.recorder.film is not None)
         parts.prices.drawn(look, parts.state.last.poses, camera)
         if parts.wipe is not None:
             screen.use()
@@ -256,13 +257,16 @@ class Window:
         )
 
     def close(self) -> None:
-        """Free everything and close the window."""
+        """Write what is being filmed, free everything and close the window."""
         parts = self.parts
-        parts.state.playback.close()
-        for thing in (self.panels, parts.wipe, parts.look.renderer):
-            if thing is not None:
-                thing.release()
-        self.screen.close()
+        try:
+            parts.recorder.close()
+        finally:
+            parts.state.playback.close()
+            for thing in (self.panels, parts.wipe, parts.look.renderer):
+                if thing is not None:
+                    thing.release()
+            self.screen.close()
 
 
 def play(

@@ -179,6 +179,17 @@ def test_each_effect_has_a_row_for_each_of_its_settings(window, setting):
     assert rows <= set(window.panels.places)
 
 
+def test_a_film_has_the_picture_without_panels(window, tmp_path):
+    import av
+
+    run(window, "press:film wait wait press:film wait")
+    with av.open(str(tmp_path / "selfscan-000.mp4")) as film:
+        frame = next(film.decode(video=0)).to_ndarray(format="rgb24")
+    _, _, width, height = window.parts.state.layout.area
+    assert frame.shape[:2] == (height + height % 2, width + width % 2)
+    assert np.abs(frame[:30, -200:].astype(int) - frame[2, 2]).max() < 8  # no frame rate in the corner
+
+
 def test_small_windows_have_no_panels_but_the_line_of_text(window):
     image = run(window, "size:300:200 wait wait")
     assert image.shape == (200, 300, 3) and window.parts.state.layout.area == (0, 0, 300, 200)

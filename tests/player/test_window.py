@@ -137,11 +137,23 @@ def test_camera_keys_are_recorded_saved_and_looked_along(shot, tmp_path, avatar_
 
 
 @pytest.mark.usefixtures("osmesa")
-def test_screenshots_hold_the_picture_without_the_text(shot, tmp_path):
+def test_screenshots_and_films_hold_the_picture_without_the_text(shot, tmp_path, capsys):
+    import av
+
     shown = shot("space scrub:1 s wait s wait")
     taken = pixels(tmp_path / "selfscan-000.png")
     assert np.array_equal(taken[:170], shown) and np.array_equal(taken, pixels(tmp_path / "selfscan-001.png"))
     assert (taken[170:] == taken[0, 0]).mean() > 0.5 and taken.shape == (200, 160, 3)
+    shot("space home space o wait wait wait o")
+    with av.open(str(tmp_path / "selfscan-000.mp4")) as film:
+        frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+    assert len(frames) == 4 and frames[0].shape == (200, 160, 3)
+    # colours are stored at half the size: brightness tells
+    assert np.abs(frames[0][:170].mean(-1) - shot("space home").mean(-1)).mean() < 2.5
+    shot("space o wait size:100:80 wait wait")  # another size ends it
+    assert "another size" in capsys.readouterr().out and (tmp_path / "selfscan-001.mp4").exists()
+    shot("space o wait")  # closing writes it
+    assert (tmp_path / "selfscan-002.mp4").exists()
 
 
 @pytest.mark.usefixtures("osmesa")

@@ -8,6 +8,7 @@ from imgui_bundle import imgui
 
 from avatar.camera import project
 from avatar.skeleton import joint_transforms
+from command.progress import plural
 from player.live.latency import DRAWN
 from player.window.actions import GROUPS
 from player.window.help import mouse_rows, rows
@@ -25,7 +26,7 @@ Block = tuple[str, Sequence[tuple[str, str]]]
 
 def hud_panel(parts: WindowParts) -> None:
     """Frames a second with the last frames' milliseconds, in the picture's corner; below, what was said."""
-    state = parts.state
+    state, film = parts.state, parts.recorder.film
     left, top, width = (length / state.layout.screen.scale for length in state.layout.area[:3])
     draw, letter = imgui.get_background_draw_list(), imgui.get_font_size()
     times = 1000 * np.array(state.last.times)
@@ -38,6 +39,8 @@ def hud_panel(parts: WindowParts) -> None:
         drawn = live.latency.percentiles().get(DRAWN)
         if drawn is not None:
             lines.append(f"pose to picture {drawn.p50:.1f} ms, p95 {drawn.p95:.1f}")
+    if film is not None:
+        lines.append(f"filming: {plural(film.frames, 'frame')}")
     if state.messages.shown:
         lines.append(state.messages.shown)
     y, wrap = top + 0.5 * letter, width - 2 * letter
@@ -76,6 +79,8 @@ def status(parts: WindowParts) -> str:
         words.append(parts.budget.words)
     if parts.viewpoint.cameras.kind != "orbit":
         words.append(parts.viewpoint.cameras.kind)
+    if parts.recorder.film is not None:
+        words.append(f"filming {parts.recorder.film.frames}")
     if state.selection.any:
         words.append(state.selection.name)
     return "    ".join([*words, "h: keys"])

@@ -119,10 +119,15 @@ def view_panel(ui: Widgets, parts: WindowParts) -> None:
     """Choices that change the plan make a new renderer, so nothing that is not chosen is ever run."""
     look = parts.look
     # above the effects, of which there are more than a small window shows
+    film = parts.recorder.film
     ui.action("Screenshot", actions.SCREENSHOT, parts)
+    ui.action("Stop film" if film else "Film", actions.FILM, parts, name="film", beside=True)
     tip = "Milliseconds that each effect adds to a frame now, beside it; timing them takes a moment."
     if ui.button("Prices", tip, name="prices", beside=True):
         parts.prices.ask()
+    if film is not None:
+        imgui.same_line()
+        imgui.text(plural(film.frames, "frame"))
     effects_panel(ui, parts)
     if look.renderer.has_view:
         tip = "How much of the view dependence is shown. 0 is the paper."

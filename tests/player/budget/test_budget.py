@@ -196,6 +196,23 @@ def test_the_window_goes_down_under_load_and_up_again(said, monkeypatch, avatar)
         window.close()
 
 
+def test_a_film_of_the_window_keeps_what_it_began_with(said, avatar):
+    window = Window(
+        opened_show(Scene((SceneAvatar("mannequin", "counting"),)), [avatar]), size=(64, 64), null=True,
+        budget=(13.0, ["mannequin"]),
+    )  # fmt: skip
+    try:
+        budget = window.parts.budget
+        for _ in range(100):
+            budget.frame(100.0, filming=True)
+        assert window.parts.look.effects.view == "vertex"
+        for _ in range(20):
+            budget.frame(100.0, filming=False)
+        assert window.parts.look.effects.view == "off"
+    finally:
+        window.close()
+
+
 LADDER = [
     PricedRung(Rung(name, "off", k), ms, 1.1 * ms, error)
     for k, (name, ms, error) in enumerate(
