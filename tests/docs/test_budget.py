@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_688,
     "bench": 5_853,
     "selfscan": 432,
-    "tests": 33_708,
+    "tests": 33_696,
 }
 
 
