@@ -44,15 +44,12 @@ def test_albedo_is_shown_backwards(gamma):
     np.testing.assert_allclose(back[unclipped], albedo[unclipped], rtol=1e-10, atol=1e-12)
 
 
-def test_a_lamp_lights_nothing_that_faces_away_and_an_eye_behind_it_sees_no_highlight():
+def test_a_lamp_lights_nothing_that_faces_away_and_turns_with_the_surface():
     light = CaptureLight(0.3, (Lamp((0.0, 0.0, 1.0), 0.7),), gloss=0.2)
     normals = np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0]])
     np.testing.assert_allclose(light.shading(normals), [1.0, 0.3, 0.3], atol=1e-15)
     behind = np.array([[0, 0, -1.0]] * 3)
     np.testing.assert_array_equal(light.highlight(normals, behind), 0)
-
-
-def test_turning_light_and_surface_together_changes_nothing_and_json_gives_the_light_back():
     R = np.linalg.qr(np.random.default_rng(6).standard_normal((3, 3)))[0]
     R *= np.sign(np.linalg.det(R))
     turned = LIGHT.turned(R, "camera")

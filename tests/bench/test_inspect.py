@@ -105,7 +105,7 @@ def test_seam_steps_are_those_of_the_colors_painted():
         np.testing.assert_array_equal(np.sort(steps.max(0)), [0] * 8 + [7] * 4)
 
 
-def test_cone_half_angles_are_those_of_the_clamp():
+def test_cone_half_angles_are_those_of_the_clamp_and_a_ramp_meets_its_ends():
     level = cube()
     d = np.tile([0.0, 0.0, -1.0], (24, 1)).astype(np.float32)
     q = np.zeros((24, 6), np.float32)
@@ -116,9 +116,6 @@ def test_cone_half_angles_are_those_of_the_clamp():
     half = dataclasses.replace(level, view_seen=np.full(24, 0.5, np.float32))
     expected = np.degrees(np.arcsin(0.5 * np.sin(np.radians([20, 45]))))
     np.testing.assert_allclose(np.sort(mesh_facts.cone_degrees(half), axis=1)[0], expected, atol=1e-4)
-
-
-def test_a_ramp_meets_its_ends_and_a_page_escapes_what_is_not_its_own():
     colors = Ramp(0.0, 10.0).colors(np.array([-1.0, 0.0, 5.0, 10.0, 99.0, np.nan]))
     first, *_, last = SEQUENTIAL
     np.testing.assert_array_equal(colors[[0, 1, 3, 4, 5]], rgb([first, first, last, last, ABSENT]))

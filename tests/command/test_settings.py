@@ -50,7 +50,7 @@ class Try:
             raise ValueError("count 2 cannot be forced")
 
 
-def test_what_is_not_given_is_the_default_and_every_kind_of_field_is_read():
+def test_what_is_not_given_is_the_default_and_help_says_meaning_and_choices():
     assert parse(Try, ["a", "-o", "b"], ABOUT) == Try(Path("a"), Path("b"))
     words = ["a", "x", "y", "-o", "b", "--count", "5", "--rate", "24", "--seconds", "1.5",
              "--light", "soft", "--quality", "high", "--no-truth", "--force", "--joint", "neck",
@@ -59,6 +59,12 @@ def test_what_is_not_given_is_the_default_and_every_kind_of_field_is_read():
                    "mannequin")  # fmt: skip
     assert parse(Try, words, ABOUT) == expected
     assert parse(Try, ["a", "-o", "b", "--compare", "me.glb"], ABOUT).compare == "me.glb"
+    text = " ".join(parser_of(Try, ABOUT).format_help().split())
+    assert "--count N how many (default: 3)" in text
+    assert "--rate X frames per second (default: 30)" in text
+    assert "--light {even,soft} of the room (default: even)" in text
+    assert "--no-truth leave out the truth" in text and "--truth" not in text.replace("--no-truth", "")
+    assert "example: selfscan try a b" in text and "inner" not in text
 
 
 @pytest.mark.parametrize(
@@ -88,15 +94,6 @@ def test_a_mistake_is_one_line_and_wrong_usage(capsys, words, message):
     assert stopped.value.code == 2
     printed = capsys.readouterr().err
     assert message in printed and printed.count("\n") == 1 and "try --help; `try --help`" not in printed
-
-
-def test_help_says_meaning_choices_and_default():
-    text = " ".join(parser_of(Try, ABOUT).format_help().split())
-    assert "--count N how many (default: 3)" in text
-    assert "--rate X frames per second (default: 30)" in text
-    assert "--light {even,soft} of the room (default: even)" in text
-    assert "--no-truth leave out the truth" in text and "--truth" not in text.replace("--no-truth", "")
-    assert "example: selfscan try a b" in text and "inner" not in text
 
 
 def test_help_has_groups_and_help_all_the_rare_options_too(capsys):

@@ -38,7 +38,7 @@ def test_exact_pixels_give_the_point(degrees):
     assert error < 1e-5
 
 
-def test_noisy_pixels_give_the_point_of_least_squares():
+def test_noisy_pixels_give_the_point_of_least_squares_and_what_no_point_explains_is_refused():
     views = cameras(-50, -20, 10, 40)
     seen = pixels(views) + np.random.default_rng(0).normal(size=(4, 2))
     point, error = triangulated("file: nose", views, seen)
@@ -50,9 +50,6 @@ def test_noisy_pixels_give_the_point_of_least_squares():
     assert error == pytest.approx(np.sqrt(cost(point) / 4))
     for step in 1e-5 * np.concatenate([np.eye(3), -np.eye(3)]):
         assert cost(point + step) > cost(point)
-
-
-def test_what_no_point_explains_is_refused():
     views = cameras(0, 40, 80)
     seen = pixels(views)
     near, apart = cameras(0, 1), cameras(0, 20)
