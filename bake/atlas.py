@@ -19,11 +19,11 @@ from numpy import ndarray as Array
 from command.errors import AssetError
 from files.npz import read_npz
 
-# of a chart at most, square metres times its part's density squared: larger ones are squeezed, slow and hard to pack
+# square metres of a chart at most, times its part's density squared: larger ones are squeezed, slow and hard to pack
 CHART_AREA = 0.15
 # share of the usual texels, below which a triangle counts as squeezed, if it has so much area in square metres
 SQUEEZED, SEEN_AREA = 0.33, 1e-6
-# of packing, at most: each gives a chart of their own to those that were squeezed
+# rounds of packing at most: each gives a chart of their own to those that were squeezed
 ROUNDS = 3
 
 

@@ -13,7 +13,7 @@ from avatar.texture import bytes_of, linear_from_srgb, srgb_from_linear
 from command.errors import AssetError
 from files.picture import WITH_WEBP, decode_picture
 
-TRIANGLES = 4  # of a primitive's modes
+TRIANGLES = 4  # the mode of a primitive
 
 
 @dataclass(frozen=True)

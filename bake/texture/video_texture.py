@@ -155,7 +155,7 @@ def solve_texture(
     surface = texel_surface(mesh, found.texel)
     solved = np.clip(within_shown(given + solution, given, surface.points, found.ranges), 0, 1)
     for name, own, sure in zip(PARTS, found.equations, belief, strict=True):
-        # of all pixels, those that were doubted as well
+        # every pixel counts, those that were doubted as well
         left = (own.wanted - own.matrix @ (solved - given)) / sure[:, None]
         facts[name]["rms_after"] = rounded(255 * _rms(left, weight_roots(own.matrix) / sure))
     seen = found.seen_share()[:, None]

@@ -141,6 +141,7 @@ class ContactFloorPass(PassBehind):
         return RUNS if self.contact.shows(drawing) else SMALL
 
     def draw(self, drawing: Drawing) -> None:
+        """How much of the sky is hidden, texel by texel, then laid on the ground."""
         under, view = self._under(drawing), view_from_world(drawing.inputs.camera)
         assert under is not None
         sheet, near = under

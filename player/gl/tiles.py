@@ -41,7 +41,7 @@ class Patches:
         self.radii = np.maximum.reduceat(aside, starts)
         largest = np.zeros((len(starts), level.bones))
         np.maximum.at(largest, (piece_of[:, None], all_joints), weights / 255.0)
-        # of each piece the heaviest bone first, then the others with their largest weight
+        # the heaviest bone of each piece first, then the others with their largest weight
         largest[pieces, heaviest[order[starts]]] = 2.0
         self.piece, self.joints = np.nonzero(largest)
         by_weight = np.lexsort((-largest[self.piece, self.joints], self.piece))

@@ -52,7 +52,7 @@ def test_a_window_minimised_to_nothing_draws_nothing_and_comes_back(window, monk
     calls = dict(window.screen.context.counts.calls)
     for nothing in ((0, 0), (7, 0), (0, 5)):
         monkeypatch.setattr(glfw, "get_framebuffer_size", lambda handle, nothing=nothing: nothing)
-        window.run("wait click:100:100 drag:300:100:320:120 near:1 c c c r g g s o o v v wait".split(), keep=True)
+        window.run("wait click:100:100 drag:300:100:320:120 near:1 c c r g g s o o v v wait".split(), keep=True)
         assert dict(window.screen.context.counts.calls) == calls
     window.parts.recorder.shoot(on=False)
     monkeypatch.setattr(glfw, "get_framebuffer_size", real)

@@ -74,7 +74,6 @@ WRONG = [
     ("import", "expected video, totalselfscan or easymocap, found nothing"),
     ("import kinect a b", "expected video, totalselfscan or easymocap, found kinect"),
     ("import easymocap a b", "are required: --body, --head, --landmarks, --masks"),
-    ("inspect a.glb -o out --joint left_ellbow", "no joint is named 'left_ellbow'"),
 ]
 
 
