@@ -106,6 +106,10 @@ def signals_wait() -> Iterator[None]:
 
     Otherwise a Ctrl-C during a child's imports would end it with a traceback.
     """
+    # Windows has no signal mask
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
@@ -115,4 +119,5 @@ def signals_wait() -> Iterator[None]:
 
 def signals_arrive() -> None:
     """In a process started inside `signals_wait`: from here on they are delivered."""
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)

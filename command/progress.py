@@ -92,19 +92,29 @@ class _Job:
             return None
         return (self.last[0] - self.first[0]) / (self.last[1] - self.first[1])
 
-    def left(self, now: float) -> float | None:
-        """Seconds until it is done, by its own rate."""
-        if self.rate is None or self.last is None:
+    @property
+    def preparation(self) -> float | None:
+        """Seconds before it began to count, or None where it has not."""
+        return None if self.first is None or self.began is None else self.first[0] - self.began
+
+    def left(self, now: float, rate: float | None, preparation: float) -> float | None:
+        """Seconds until it is done: by its own rate, else at `rate` seconds a count after such a preparation."""
+        if self.rate is not None and self.last is not None:
+            return max((self.total - self.last[1]) * self.rate - (now - self.last[0]), 0.0)
+        if rate is None:
             return None
-        return max((self.total - self.last[1]) * self.rate - (now - self.last[0]), 0.0)
+        if self.first is None:
+            spent = 0.0 if self.began is None else now - self.began
+            return max(preparation - spent, 0.0) + self.total * rate
+        return max(self.total * rate - (now - self.first[0]), 0.0)
 
 
 class ProgressBoard:
     """Jobs that run side by side: one line each while at work, and one for all of them with the time left.
 
-    On a terminal the lines are redrawn in place; elsewhere they are printed about every ten seconds. The time
-    left is the jobs' alone: those without a speed yet are taken to be as fast per count as the others, and wait for
-    one of `workers`.
+    On a terminal the lines are redrawn in place; elsewhere they are printed about every ten seconds. Of the time
+    left: jobs without a speed yet are taken to prepare and to count as long as the others did, and wait for one of
+    `workers`.
     """
 
     def __init__(
@@ -160,17 +170,18 @@ class ProgressBoard:
 
     def lines(self) -> list[str]:
         """What is shown now."""
-        out, width = [], max(len(name) for name in self.jobs)
+        out, width, now = [], max(len(name) for name in self.jobs), self.clock()
         for name, job in self.jobs.items():
             if job.began is None or job.ended:
                 continue
+            left = job.left(now, *self._usual())
             if job.last is None:
-                out.append(f"{name:<{width}}  preparing, {clock_time(self.clock() - job.began)} so far")
+                known = "" if left is None else f", {_left_text(left)}"
+                out.append(f"{name:<{width}}  preparing, {clock_time(now - job.began)} so far{known}")
                 continue
-            left = job.left(self.clock())
             line = f"{name:<{width}}  {_bar(job.last[1] / max(job.total, 1))} {job.last[1]}/{job.total}"
             out.append(f"{line}  {_left_text(left)}  {job.note}".rstrip())
-        left, spent = self.left(), self.clock() - self.began
+        left, spent = self.left(), now - self.began
         share = 0.0 if left is None else spent / max(spent + left, 1e-9)
         out.append(f"{'all':<{width}}  {_bar(share)} {share:4.0%}  {clock_time(spent)} so far, {_left_text(left)}")
         return out
@@ -178,16 +189,20 @@ class ProgressBoard:
     def left(self) -> float | None:
         """Seconds until all jobs are done, or None before the first job has a speed."""
         now, open_ = self.clock(), [job for job in self.jobs.values() if not job.ended]
-        rates = [rate for rate in (job.rate for job in self.jobs.values()) if rate is not None]
-        if open_ and not rates:
-            return None
-        usual = sum(rates) / max(len(rates), 1)
         # when each worker is free: those at work first
         free = [0.0] * self.workers
         for job in sorted(open_, key=lambda job: job.began is None):
-            own = job.left(now)
-            heapq.heapreplace(free, free[0] + (job.total * usual if own is None else own))
+            left = job.left(now, *self._usual())
+            if left is None:
+                return None
+            heapq.heapreplace(free, free[0] + left)
         return max(free)
+
+    def _usual(self) -> tuple[float | None, float]:
+        """Seconds per count, None before a job has a speed, and seconds of preparation: the means so far."""
+        rates = [rate for rate in (job.rate for job in self.jobs.values()) if rate is not None]
+        preparations = [time for time in (job.preparation for job in self.jobs.values()) if time is not None]
+        return sum(rates) / len(rates) if rates else None, sum(preparations) / max(len(preparations), 1)
 
 
 def plural(number: int, noun: str) -> str:

@@ -151,7 +151,7 @@ def one_preset(
         "checkpoints": points,
         "hours_of_own_iterations": per_step * own.iterations / 3600,
         "extrapolated": settings.iterations < own.iterations,
-        "peak_memory_mb": round(memory / 1e6),
+        "peak_memory_mb": None if memory is None else round(memory / 1e6),
     }
 
 

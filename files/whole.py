@@ -9,7 +9,6 @@ be there: only the output itself is made.
 
 import contextlib
 import errno
-import fcntl
 import json
 import os
 import re
@@ -22,6 +21,11 @@ from pathlib import Path
 from typing import IO, Any
 
 from command.errors import AssetError
+
+try:
+    import fcntl
+except ModuleNotFoundError:  # Windows: unfinished files are not locked, and what is left of them stays
+    fcntl = None
 
 # in a folder that was written whole: the list of its files, so that files added later by others are recognised
 MARK = ".selfscan"
@@ -186,11 +190,15 @@ def _unfinished_in(parent: Path, *, folder: bool) -> Iterator[Path]:
     while True:
         if folder:
             name = Path(tempfile.mkdtemp(prefix=".selfscan-", suffix=".tmp", dir=parent))
-            handle = os.open(name, os.O_RDONLY)
+            handle = None if fcntl is None else os.open(name, os.O_RDONLY)
         else:
             handle, made = tempfile.mkstemp(prefix=".selfscan-", suffix=".tmp", dir=parent)
             name = Path(made)
-        if locked(handle) is not False and name.exists():
+            # Windows renames no open file
+            if fcntl is None:
+                os.close(handle)
+                handle = None
+        if handle is None or (locked(handle) is not False and name.exists()):
             break
         # another process took it for a leftover in the moment before the lock
         os.close(handle)
@@ -201,11 +209,14 @@ def _unfinished_in(parent: Path, *, folder: bool) -> Iterator[Path]:
             shutil.rmtree(name, ignore_errors=True)
         else:
             name.unlink(missing_ok=True)
-        os.close(handle)
+        if handle is not None:
+            os.close(handle)
 
 
 def locked(handle: int) -> bool | None:
     """Lock an open file; False: another process has it locked; None: there are no locks here."""
+    if fcntl is None:
+        return None
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -218,7 +229,7 @@ def locked(handle: int) -> bool | None:
 def _remove_leftovers(parent: Path) -> None:
     """Remove unfinished files and folders of ours whose process is gone."""
     try:
-        names = [name for name in os.listdir(parent) if _UNFINISHED.fullmatch(name)]
+        names = [name for name in os.listdir(parent) if _UNFINISHED.fullmatch(name)] if fcntl is not None else []
     except OSError:
         return
     for name in names:

@@ -118,7 +118,7 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
         # the last sitting's, as is what it holds of preparing
         "cpu_seconds": round(time.process_time() - cpu, 1),
         "cpu_seconds_preparing": round(prepared_cpu, 1),
-        "peak_memory_mb": round(memory / 1e6),
+        "peak_memory_mb": megabytes(memory),
     }
     if field.poses is not None:
         degrees = facts["poses_learned_deg"] = round(field.poses.degrees(), 3)
@@ -131,8 +131,7 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
         with whole_file(done, "w") as file:
             json.dump(facts, file)
     psnr = f"PSNR {last['psnr']:.1f} dB, " if last else ""
-    took = f"{facts['seconds']:.0f} s, peak memory {memory / 1e9:.2f} GB"
-    reporter.say(f"{name}: {steps} steps, {psnr}{at.skipped} skipped, {took}")
+    reporter.say(f"{name}: {steps} steps, {psnr}{at.skipped} skipped, {facts['seconds']:.0f} s, {memory_text(memory)}")
     return facts
 
 
@@ -234,3 +233,11 @@ def step_note(step: StepReport) -> str:
         f"loss {step.loss:.4f}  PSNR {step.psnr:.1f} dB  |grad| {step.slope:.2f}  "
         f"T_nr {step.displacement * 1000:.1f} mm"
     )
+
+
+def megabytes(memory: int | None) -> int | None:
+    return None if memory is None else round(memory / 1e6)
+
+
+def memory_text(memory: int | None) -> str:
+    return "peak memory unknown here" if memory is None else f"peak memory {memory / 1e9:.2f} GB"

@@ -38,7 +38,7 @@ from train.compose import HeadPlacement, TrainedParts, compose, consistent_place
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
 from train.light import VideoLight, video_light
-from train.part_job import PartJob, step_note, train_part
+from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset, chosen_preset
 from train.seen import seen_parts
 from train.session import Session, capture_digest, capture_place, digest_of, exclusive_lock, open_session
@@ -202,7 +202,7 @@ def finish(training: Training, facts: dict[str, dict]) -> None:
         seconds["all"] = float((clocks() - training.began)[0])
         run_folder.write_json(folder / "run.json", _run_facts(training, facts, seconds) | person.facts)
     shutil.rmtree(partial, ignore_errors=True)
-    memory = f"peak memory {peak_memory(device) / 1e9:.2f} GB"
+    memory = memory_text(peak_memory(device))
     training.say(f"{out}: {len(person.surface.vertices)} surface vertices, {seconds['all']:.0f} s, {memory}")
 
 
@@ -226,7 +226,7 @@ def _run_facts(training: Training, parts: dict[str, dict], seconds: dict[str, fl
         # with its workers', without other ranks'; of the last sitting, as the seconds are
         "cpu_seconds": round(float((clocks() - training.began)[1]), 1),
         "resumed": training.session.resumed,
-        "peak_memory_mb": memory | {"composition": round(peak_memory(training.device) / 1e6)},
+        "peak_memory_mb": memory | {"composition": megabytes(peak_memory(training.device))},
         "parts": parts,
         "refined": training.refined,
         "light": None,

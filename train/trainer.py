@@ -1,6 +1,5 @@
 """The loop of stage 1 (TotalSelfScan, section 3.4): one part learns its field from its video."""
 
-import resource
 import signal
 import sys
 import time
@@ -254,9 +253,13 @@ def flushed_denormals() -> Iterator[None]:
         torch.set_flush_denormal(False)
 
 
-def peak_memory(device: str) -> int:
-    """Most memory that this process (or, on CUDA, its tensors) ever held, bytes."""
+def peak_memory(device: str) -> int | None:
+    """Most memory that this process (or, on CUDA, its tensors) ever held, bytes; None where it cannot be asked."""
     if device.startswith("cuda"):
         return torch.cuda.max_memory_allocated(device)
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -1,6 +1,7 @@
 """Other people's skeletons: what a reader of animated rigs provides, and which of its joints are ours, by name."""
 
 import re
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,7 +34,7 @@ REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow")
 
 
 @dataclass(frozen=True, kw_only=True)
-class AnimatedRig:
+class AnimatedRig(ABC):
     """An animated skeleton in its own units and axes: a BVH file (avatar/motion/bvh.py), a glTF animation
     (avatar/motion/gltf.py), MHR (avatar/motion/mhr_rig.py).
     """
@@ -48,15 +49,15 @@ class AnimatedRig:
     rate: float  # frames per second
 
     @property
+    @abstractmethod
     def rest_positions(self) -> Float[np.ndarray, "joints 3"]:
         """Places of the joints at rest, in the file's units."""
-        raise NotImplementedError
 
+    @abstractmethod
     def transforms(
         self, frames: Int[np.ndarray, "frames"]
     ) -> tuple[Float[np.ndarray, "frames joints 3 3"], Float[np.ndarray, "frames joints 3"]]:
         """Turn of each joint away from its rest pose, and its place, in the file's world."""
-        raise NotImplementedError
 
 
 def runs(frames: Int[np.ndarray, "frames"]) -> list[tuple[int, int]]:

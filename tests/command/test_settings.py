@@ -144,13 +144,15 @@ def test_the_time_left_schedules_what_waits_on_the_workers():
     board.update("body", 50, "PSNR 20.0 dB")
     board.update("head", 50)
     left = board.left()
-    assert left is not None and abs(left - 15.0) < 1e-9
+    assert left is not None and abs(left - 16.0) < 1e-9  # the third prepares for a second, as the others did
     lines = board.lines()
     assert lines[0] == "body  [########........] 50/100  0:05 left  PSNR 20.0 dB"
-    assert len(lines) == 3 and lines[2].startswith("all ") and lines[2].endswith("0:06 so far, 0:15 left")
+    board.begin("hand")
+    assert board.lines()[2] == "hand  preparing, 0:00 so far, 0:11 left"
+    assert len(lines) == 3 and lines[2].startswith("all ") and lines[2].endswith("0:06 so far, 0:16 left")
     for name in ("body", "head"):
         board.end(name)
-    assert [line.split()[0] for line in board.lines()] == ["all"]
+    assert [line.split()[0] for line in board.lines()] == ["hand", "all"]
 
 
 def test_preparation_is_said_and_times_are_read_at_a_glance():
