@@ -16,6 +16,7 @@ from jaxtyping import Float, Float32, UInt8, UInt32
 from numpy import ndarray as Array
 
 from avatar.bend import BEND_JOINTS, BENDS
+from avatar.face import Eye, FaceShapes
 from avatar.helper_joints import BONES, CARRIER
 from avatar.light import CaptureLight
 from avatar.skeleton import JOINTS
@@ -71,6 +72,8 @@ class Level:
     twist: TwistSkin | None = None
     # 0 where it is skin, 1 where it hangs far off the body: hair, skirts, sleeves; None: nothing is loose
     loose: Float32[Array, "vertices"] | None = None
+    # None: the level's face stays still
+    face: FaceShapes | None = None
 
     @property
     def drawn_skin(self) -> tuple[UInt8[Array, "vertices 4"], UInt8[Array, "vertices 4"]]:
@@ -125,6 +128,8 @@ class Avatar:
     light: CaptureLight | None = None
     # how far bend joints are pushed (avatar/bend.py), metres, only beside twist joints; None: the file has none
     bend: Float[Array, "bends"] | None = None
+    # the left and the right one, of every level whose face moves; None: none does
+    eyes: tuple[Eye, Eye] | None = None
 
     def level(self, number: int) -> Level:
         """A level of detail, 0 the finest; the coarsest where there are fewer."""

@@ -1,0 +1,47 @@
+"""A face that moves: the 52 shapes that ARKit names, as offsets of a level's vertices, and eyes that turn.
+
+A shape is what its vertices are moved by at a weight of 1; shapes add up. An eye is a ball of its own that turns about its
+centre; lids stay outside of it. Canonical frame of the avatar, metres; left is the person's left.
+"""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float, Float32, UInt32
+from numpy import ndarray as Array
+
+SIDES = ("left", "right")
+# in the order in which Apple's documentation lists them, which is that of most senders
+SHAPES = (
+    "eyeBlinkLeft", "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeSquintLeft", "eyeWideLeft",
+    "eyeBlinkRight", "eyeLookDownRight", "eyeLookInRight", "eyeLookOutRight", "eyeLookUpRight", "eyeSquintRight",
+    "eyeWideRight",
+    "jawForward", "jawLeft", "jawRight", "jawOpen",
+    "mouthClose", "mouthFunnel", "mouthPucker", "mouthLeft", "mouthRight", "mouthSmileLeft", "mouthSmileRight",
+    "mouthFrownLeft", "mouthFrownRight", "mouthDimpleLeft", "mouthDimpleRight", "mouthStretchLeft", "mouthStretchRight",
+    "mouthRollLower", "mouthRollUpper", "mouthShrugLower", "mouthShrugUpper", "mouthPressLeft", "mouthPressRight",
+    "mouthLowerDownLeft", "mouthLowerDownRight", "mouthUpperUpLeft", "mouthUpperUpRight",
+    "browDownLeft", "browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight",
+    "cheekPuff", "cheekSquintLeft", "cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Eye:
+    """A ball that looks along its axis at rest."""
+
+    center: Float[Array, "3"]
+    axis: Float[Array, "3"]  # unit, from the center through the middle of the iris
+    radius: float
+
+
+@dataclass(frozen=True)
+class FaceShapes:
+    """What of one level the face moves.
+
+    The balls' vertices are skinned to the head alone and are in no shape: gaze turns them.
+    """
+
+    vertices: UInt32[Array, "moving"]  # ascending
+    offsets: Float32[Array, "52 moving 3"]  # at a weight of 1
+    # first vertex and count of the left and of the right ball
+    balls: UInt32[Array, "2 2"]
