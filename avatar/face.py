@@ -45,3 +45,12 @@ class FaceShapes:
     offsets: Float32[Array, "52 moving 3"]  # at a weight of 1
     # first vertex and count of the left and of the right ball
     balls: UInt32[Array, "2 2"]
+
+
+@dataclass(frozen=True)
+class FaceFrame:
+    """What a face does in one frame."""
+
+    weights: Float[Array, "52"]  # of SHAPES, from 0 to 1
+    # of the left and of the right eye: yaw to the person's left and pitch upwards, radians, away from its axis
+    gaze: Float[Array, "2 2"]

@@ -10,7 +10,7 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_391,
     "command": 1_254,
-    "avatar": 8_257,
+    "avatar": 8_266,
     "geometry": 1_728,
     "capture": 11_265,
     "train": 5_365,
