@@ -14,6 +14,7 @@ from avatar.motion.read import builtin_motion
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND
 from files.whole import whole_file
+from synth.face_places import face_places
 from synth.film import FINEST_PIXEL, frame_points, rotation
 from synth.light import FilmLight
 from synth.photo import Photo, Studio
@@ -241,6 +242,8 @@ def write_rest(folder: Path, subject: SynthSubject, visible: Bool[np.ndarray, "f
     fields: dict[str, Any] = {name: vars(subject)[name] for name in kept}
     if subject.eye is not None:
         fields["eye"] = subject.eye
+    places = face_places(subject)
+    fields["face"] = np.stack([places[f"face_{number:02d}"] for number in range(68)])
     fields["skin_joints"] = subject.skin.joints.astype(np.uint8)
     fields["skin_weights"] = subject.skin.weights.astype(np.float32)
     with whole_file(folder / "rest.npz") as file:

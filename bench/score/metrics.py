@@ -185,6 +185,8 @@ METRICS = (
     # a standing person alone has outlines: bench/score/outlines.py
     Metric("outline_iou", "IoU", 3, "higher"),
     Metric("outline_worst", "IoU worst", 3, "higher"),
+    # features of the standing head: bench/score/landmarks.py
+    Metric("face_mm", "face mm", 1, "lower"),
     Metric("psnr_db", "box dB", 2, "higher", lambda p: p.box_error(), of_rungs=True),
     Metric("psnr_mask_db", "mask dB", 2, "higher",
            lambda p: None if p.mask is None else checked_error(p.truth, p.image, p.mask), of_rungs=True),

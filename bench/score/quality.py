@@ -25,6 +25,7 @@ from bench.report.writer import Json
 from bench.score.beside_hair import edges_at_hair, skin_to_surface, stretched_edges
 from bench.score.filmed_poses import FilmedPoses, filmed_poses
 from bench.score.fitted_poses import fitted_views
+from bench.score.landmarks import face_landmarks_mm
 from bench.score.lpips import read_perceptual
 from bench.score.metrics import Perceive
 from bench.score.outlines import SIDES, outline_scores
@@ -50,7 +51,7 @@ from bench.score.posed_geometry import (
     posed_pair,
 )
 from bench.score.quality_table import PAPER
-from bench.score.region_scores import regions_of, with_outlines, without_eyes
+from bench.score.region_scores import regions_of, rounded, with_outlines, without_eyes
 from bench.score.skeleton_distance import BODY, HANDS, LIMBS, joints_off, posed_skeletons, turned_off
 from bench.score.true_mesh import TrueMesh, read_true_mesh
 from bench.score.view_modes import view_modes
@@ -186,7 +187,7 @@ def measured(what: Evaluated) -> Json:
     surfaces = judged_surfaces(what)
     out: Json = {}
     beside: Json = {
-        **standing_rows(surfaces, what.drawer.raster),
+        **standing_rows(surfaces, what.drawer.raster, what.template),
         "canonical": regions_of(measure_once(surfaces.case, BIG_POSE, surfaces.apart)[0]),
     }
     for name in what.filmed:
@@ -300,8 +301,9 @@ def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[Held
     return {"edges": len(edges), "stretched": stretched_edges(edges, surface.vertices, posed)}
 
 
-def standing_rows(what: JudgedSurfaces, raster: Rasteriser) -> Json:
-    """The T-pose: distances, and outlines from eight sides, of ours and of the template before training."""
+def standing_rows(what: JudgedSurfaces, raster: Rasteriser, template: CaptureSubject | None) -> Json:
+    """The T-pose: distances, outlines from eight sides and the face's features, of ours and of the template before
+    training."""
     rows: Json = {}
     for name, case in (("t_pose", what.case), ("t_pose_zero_steps", what.template)):
         if case is None:
@@ -309,6 +311,8 @@ def standing_rows(what: JudgedSurfaces, raster: Rasteriser) -> Json:
         print_stage(f"{name.replace('_', ' ')}: distances, and outlines from {SIDES} sides")
         distances, pair, T = measure_once(case, np.zeros((52, 3)), what.apart)
         rows[name] = with_outlines(regions_of(distances), outline_scores(raster, case, pair, T))
+        if template is not None:
+            rows[name]["head"]["face_mm"] = rounded(face_landmarks_mm(template, case, pair))
     return rows
 
 

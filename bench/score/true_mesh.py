@@ -29,6 +29,8 @@ class TrueMesh:
     visible: Bool[Array, "faces"]
     # vertices of the eyeballs; None: the capture does not say
     eye: Bool[Array, "vertices"] | None = None
+    # iBUG's 68 points of the face; None: the capture does not say
+    face: Float[Array, "68 3"] | None = None
 
     def posed(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"]) -> Float[Array, "vertices 3"]:
         transforms = skin_transforms(axis_angle, self.joints, root, rest=np.zeros((52, 3)))
@@ -56,7 +58,7 @@ def read_true_mesh(capture: Path) -> TrueMesh:
         "hair": ("v",),
         "visible": ("f",),
     }
-    fields = read_arrays(path, shapes, {"eye": ("v",)})
+    fields = read_arrays(path, shapes, {"eye": ("v",), "face": (68, 3)})
     return TrueMesh(
         fields["vertices"].astype(np.float64),
         fields["faces"].astype(np.int64),
@@ -66,4 +68,5 @@ def read_true_mesh(capture: Path) -> TrueMesh:
         fields["hair"].astype(bool),
         fields["visible"].astype(bool),
         fields["eye"].astype(bool) if "eye" in fields else None,
+        fields["face"].astype(np.float64) if "face" in fields else None,
     )

@@ -24,6 +24,8 @@ Report = Callable[[str], None]
 
 # joints that a body's video shows; its hands keep the rest pose
 MOVING = np.arange(1, 22)
+# of the face's points: chin, brows, bridge, mouth; nose, eyes and ears alone leave a nod to how faces differ
+FEATURES = tuple(f"face_{number:02d}" for number in (8, 17, 26, 27, 48, 54, 57))
 LIMBS = "hip knee ankle shoulder elbow wrist eye ear heel big_toe small_toe".split()
 # degrees by which arms that are held out hang
 SAG = 8.0
@@ -37,7 +39,7 @@ def body_names(*, hands: bool = True) -> tuple[str, ...]:
     """Named points that the body's video is fitted to: limbs, feet, head and the hands' knuckles."""
     knuckles = [f"{finger}{n}" for finger in ("thumb", "index", "middle", "ring", "pinky") for n in (1, 2, 3)]
     paired = (*LIMBS, *(knuckles if hands else ()))
-    return ("nose", *(f"{side}_{name}" for side in SIDES for name in paired))
+    return ("nose", *FEATURES, *(f"{side}_{name}" for side in SIDES for name in paired))
 
 
 def first_guess(person: Person, footage: Footage) -> tuple[Estimate, Footage]:

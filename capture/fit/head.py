@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from avatar.skeleton import JOINTS, PARTS
 from capture.fit.body import CUTS, Report
 from capture.fit.directions import opposite, turns_about_y
+from capture.fit.face import same_size, with_own_face
 from capture.fit.footage import Estimate, Footage, unplaced
 from capture.fit.offsets import STIFFNESS, dressed
 from capture.fit.outline_term import Outlines
@@ -67,11 +68,11 @@ def fit_head(person: Person, g: Array, footage: Footage, report: Report) -> Esti
     moving = scalp_standoff() > 0
     for number in range(len(WEIGHTS) + ROUNDS):
         weight = WEIGHTS[min(number, len(WEIGHTS) - 1)]
-        estimate = outlines.fit(estimate, footage, priors, head, (weight,), cut=CUTS[-1])
+        estimate = same_size(outlines.fit(estimate, footage, priors, head, (weight,), cut=CUTS[-1]), footage)
         if number >= len(WEIGHTS) - 1:
             estimate = dressed(estimate, footage, scalp, moving, STIFFNESS[2 * (number > len(WEIGHTS)) :])
         report("outlines")
-    return estimate
+    return with_own_face(estimate, footage, head)
 
 
 def camera_from_head(estimate: Estimate) -> Float[Array, "frames 4 4"]:

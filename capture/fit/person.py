@@ -2,11 +2,11 @@
 
     joints(g) = joints + D_j g        vertices(g) = vertices + D_v g + offsets
 
-g holds the coefficients of the body's shape directions, then of bones, mirrored left to right. A bone that ends in a
-hinge or a finger's middle joint grows along itself only: across it, a bone's direction and the rotation of its joint
-are the same movement, and the rest pose would mean nothing. So in pose 0 of every fitted person arms lie along x,
-thighs and shins stand as the free body's, fingers point as its fingers do. Bones carry their surface with them. Last
-come places of limb joints in the flesh, which carry nothing.
+g holds the coefficients of the body's shape directions, the head's size, then of bones, mirrored left to right. A
+bone that ends in a hinge or a finger's middle joint grows along itself only: across it, a bone's direction and the
+rotation of its joint are the same movement, and the rest pose would mean nothing. So in pose 0 of every fitted person
+arms lie along x, thighs and shins stand as the free body's, fingers point as its fingers do. Bones carry their
+surface with them. Last come places of limb joints in the flesh, which carry nothing.
 """
 
 from dataclasses import dataclass, replace
@@ -22,8 +22,8 @@ from avatar.skeleton import JOINTS, PARENTS
 from avatar.skinning import SkinWeights, dense_weights
 from capture.read.template import TemplateMesh
 
-# standard deviations: of a shape coefficient, its own unit; of bones, metres
-SHAPE = 1.0
+# standard deviations: of a shape coefficient, its own unit; of the head's size, a share of it; of bones, metres
+SHAPE, HEAD_SIZE = 1.0, 0.025
 BONE = 0.02
 FINGER = 0.006
 # ball of the foot from the ankle: across, height, forwards. The stature counts from the soles: ankles that may
@@ -33,6 +33,10 @@ FOOT = (0.005, 0.004, 0.01)
 WITHIN = 0.015
 # bones that may only grow
 ALONG = ("knee", "ankle", "elbow", "wrist")
+# heads are as large as stature to this power: heads of tall people are hardly larger (ANSUR II, Gordon et al. 2014: the
+# deviations of head length and stature are 3.5 and 3.8 %, their correlation about .35)
+HEAD_POWER = 0.33
+HEAD = JOINTS.index("head")
 # joints that may lie elsewhere in the flesh: people's and rigs' do, and surface and joints are both seen
 SETTLING = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 
@@ -75,16 +79,21 @@ def person_of(sex: str, stature: float | None = None) -> Person:
     stature = height if stature is None else stature
     scale = stature / height
     body = replace(body, vertices=scale * body.vertices, joints=scale * body.joints)
+    # from the free body's head to this one's, about the head's joint
+    skull = dense_weights(body.skin)[:, HEAD, None] * (body.vertices - body.joints[HEAD])
+    body = replace(body, vertices=body.vertices + (scale ** (HEAD_POWER - 1) - 1) * skull)
     bones, sigma = _bones(body)
     within = _settling()
-    fingers = np.r_[np.zeros(body.shape_directions.shape[2], bool), sigma == FINGER, np.zeros(within.shape[2], bool)]
+    before = body.shape_directions.shape[2] + 1
+    fingers = np.r_[np.zeros(before, bool), sigma == FINGER, np.zeros(within.shape[2], bool)]
     shapes = scale * body.joint_directions - scale * body.joint_directions[:1]
     skin_shapes = scale * body.shape_directions - scale * body.joint_directions[:1]
-    joint_directions = np.concatenate([shapes, bones, within], 2)
+    joint_directions = np.concatenate([shapes, np.zeros((52, 3, 1)), bones, within], 2)
     carried = np.einsum("vj,jcg->vcg", _carried(sex), bones)
     nothing = np.zeros((len(carried), 3, within.shape[2]))
-    vertex_directions = np.concatenate([skin_shapes, carried, nothing], 2)
-    sigma = np.r_[np.full(shapes.shape[2], SHAPE), scale * sigma, np.full(within.shape[2], scale * WITHIN)]
+    vertex_directions = np.concatenate([skin_shapes, skull[:, :, None], carried, nothing], 2)
+    shared = np.r_[np.full(shapes.shape[2], SHAPE), HEAD_SIZE]
+    sigma = np.r_[shared, scale * sigma, np.full(within.shape[2], scale * WITHIN)]
     return Person(body, vertex_directions, joint_directions, sigma, fingers, stature, np.zeros_like(body.vertices))
 
 

@@ -46,8 +46,8 @@ NUMBERS = (
     (BETWEEN_LIPS, (64, 63, 62), (60, 61, 62)),
     (BETWEEN_LIPS[1:], (65, 66), (67, 66)),
 )
-# the midline of the mesh, metres
-MIDDLE = 0.0018
+# the midline of the mesh; what lies so far behind the surface beside it is inside of the head; metres
+MIDDLE, BESIDE, BEHIND = 0.0018, 0.008, 0.02
 
 
 class BodyPoint(NamedTuple):
@@ -96,8 +96,10 @@ def _surface_points() -> dict[str, list[int]]:
             for number, sign in ((of_left, 1), (of_right, -1)):
                 rim = left_rim if sign > 0 else right_rim
                 among = rim if places is EYE else front
-                # the nearest as seen from the front
+                # the nearest as seen from the front, where mouth and nostrils inside are hidden
                 away = np.hypot(x[among, 0] - (MIDDLE + sign * across), x[among, 1] - height)
+                outside = x[among, 2] > x[among[away < BESIDE], 2].max(initial=-1) - BEHIND
+                away = np.where(outside, away, np.inf)
                 found[f"face_{number:02d}"] = [int(among[away.argmin()])]
     found["nose"] = found["face_30"]
     head = np.flatnonzero(weights[:, HEAD] > 0.5)

@@ -18,15 +18,16 @@ from capture.fit.footage import Estimate, Footage
 from geometry.least_squares import NormalEquations, robust_cost, robust_weight
 
 SPINE = [JOINTS.index(name) for name in ("spine1", "spine2", "spine3")]
-# standard deviations in degrees
-MEAN, MEAN_SPINE = 8.0, 2.0
+NECK = [JOINTS.index(name) for name in ("neck", "head")]
+# standard deviations in degrees; who is filmed looks ahead, and a head that nods would be taken for a longer neck
+MEAN, MEAN_SPINE, MEAN_HEAD = 8.0, 2.0, 4.0
 OWN, OWN_SPINE = 4.5, 1.5
 OWN_LEGS = 6.0
 LEGS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in ("hip", "knee")]
 SMOOTH = 1.5
 # metres; ears, heels and toes are places of a few centimetres, a face's points are not. Looser ones let all points move
 # away from a body that shrinks
-BIAS = (("ear", 0.015), ("heel", 0.015), ("toe", 0.015), ("face", 0.007), ("nose", 0.007), ("eye", 0.007),
+BIAS = (("ear", 0.01), ("heel", 0.015), ("toe", 0.015), ("face", 0.007), ("nose", 0.007), ("eye", 0.007),
         *((finger, 0.004) for finger in ("thumb", "index", "middle", "ring", "pinky", "hand")))  # fmt: skip
 BIAS_JOINT = 0.01
 # standard deviation of a degree beyond a joint's range
@@ -64,6 +65,7 @@ def standing(estimate: Estimate, footage: Footage) -> Priors:
     """Priors of a person who stands in the T-pose, arms a little low, and turns."""
     centre = np.zeros((52, 3))
     mean, own = np.full((52, 3), np.radians(MEAN)), np.full((52, 3), np.radians(OWN))
+    mean[NECK, 0] = np.radians(MEAN_HEAD)
     mean[SPINE], own[SPINE] = np.radians(MEAN_SPINE), np.radians(OWN_SPINE)
     # knees lift and hips follow when a person steps round
     own[LEGS] = np.radians(OWN_LEGS)

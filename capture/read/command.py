@@ -65,7 +65,11 @@ class FilmOptions:
     ] = None
     sex: Annotated[str, OneOf(("male", "female")), "the free body that the fit begins with"] = "male"
     stature: Annotated[
-        float | None, AtLeast(0.8), AtMost(2.5), Option(metavar="METRES"), "your height; all lengths follow from it"
+        float | None,
+        AtLeast(0.8),
+        AtMost(2.5),
+        Option(metavar="METRES"),
+        "your height as filmed, in shoes if you wore them; all lengths follow from it",
     ] = None
     focal: Annotated[
         float | None, Above(0), Option(metavar="PX"), "focal length of the phone, pixels of the videos (default: found)"

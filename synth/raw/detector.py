@@ -13,11 +13,11 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from avatar.camera import Camera, project
-from avatar.skeleton import JOINTS, PARTS, joint_transforms
+from avatar.skeleton import JOINTS, joint_transforms
 from capture.keypoints.openpose import BODY_25, FACE_POINTS
 from capture.keypoints.record import FACE, SIDES, hand_points
-from capture.read.places import landmark_vertices
 from player.draw.raster import Rasteriser
+from synth.face_places import face_places
 from synth.subject import SynthSubject
 
 # share of points that lie far off, and pixels (of 1080) by which
@@ -161,7 +161,7 @@ def _points(subject: SynthSubject) -> list[_Point]:
     joints = subject.joints.astype(np.float64)
     points = subject.vertices.astype(np.float64)
     strongest = subject.skin.heaviest
-    face = _face_places(subject)
+    face = face_places(subject)
     out = []
     for name in (*BODY_25, *hand_points("left"), *hand_points("right"), *FACE):
         side, _, rest = name.partition("_")
@@ -189,37 +189,4 @@ def _points(subject: SynthSubject) -> list[_Point]:
             joint = JOINTS.index(f"{side}_wrist" if kind == "hand" else name)
             depth = FINGER_DEPTH if kind[-1] in "123" else DEPTH[kind]
             out.append(_Point(name, (joint,), np.zeros(3), depth))
-    return out
-
-
-def _face_places(subject: SynthSubject) -> dict[str, Float[Array, "3"]]:
-    """Eyes, nose, ears and iBUG's 68 points on the face, pose 0: an average face laid onto this one by its nose."""
-    points = subject.vertices.astype(np.float64)
-    skin = (subject.part == PARTS.index("head")) & ~subject.hair
-    marks = {name: points[v] for name, v in landmark_vertices(points, skin).items()}
-    nose = marks["nose_tip"]
-    spots = {"nose": np.zeros(3), "left_eye": (0.032, 0.035, -0.026), "left_ear": (0.078, 0.005, -0.1)}
-    spots |= {f"right_{name[5:]}": np.multiply(spots[name], (-1, 1, 1)) for name in ("left_eye", "left_ear")}
-    t = np.pi * np.arange(17) / 16
-    jaw = np.stack([-0.07 * np.cos(t), 0.03 - 0.105 * np.sin(t), -0.09 + 0.07 * np.sin(t)], 1)
-    k = np.arange(5)
-    brow = np.stack([-0.055 + 0.01 * k, 0.046 + 0.003 * np.sin(np.pi * k / 4) * 3, -0.032 + 0.004 * k], 1)
-    bridge = np.array([[0, 0.035, -0.018], [0, 0.023, -0.012], [0, 0.011, -0.005], [0, 0, 0]])
-    nostril = np.array([[-0.015, -0.013, -0.013], [-0.008, -0.015, -0.008]])
-    nostrils = np.concatenate([nostril, [[0, -0.016, -0.006]], nostril[::-1] * [-1, 1, 1]])
-    eye = np.array([[-0.047, 0.035], [-0.037, 0.04], [-0.027, 0.04], [-0.018, 0.034], [-0.027, 0.03], [-0.037, 0.03]])
-    right_eye = np.concatenate([eye, np.full((6, 1), -0.027)], 1)
-    left_eye = right_eye[[3, 2, 1, 0, 5, 4]] * [-1, 1, 1]
-    a = np.pi * np.arange(12) / 6
-    lips = np.stack([-0.025 * np.cos(a), -0.038 + 0.01 * np.sin(a), -0.014 - 0.008 * np.cos(a) ** 2], 1)
-    b = np.pi * np.arange(8) / 4
-    inner = np.stack([-0.017 * np.cos(b), -0.038 + 0.003 * np.sin(b), np.full(8, -0.014)], 1)
-    all68 = np.concatenate([jaw, brow, brow[::-1] * [-1, 1, 1], bridge, nostrils, right_eye, left_eye, lips, inner])
-    spots |= {f"face_{i:02d}": spot for i, spot in enumerate(all68)}
-    candidates = points[skin]
-    out = {}
-    for name, spot in spots.items():
-        # onto the skin: the foremost of the vertices nearest to the spot
-        nearest = np.argsort(np.linalg.norm(candidates - (nose + spot), axis=1))[:4]
-        out[name] = candidates[nearest].mean(0)
     return out

@@ -7,15 +7,17 @@ import pytest
 import torch
 from capsules import icosphere
 from mesh_distance import mesh_distance
+from painted_capture import free_subject
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, orbit_camera, pinhole
 from avatar.psnr import error_between
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import JOINTS, PARTS
+from avatar.skeleton import BIG_POSE, JOINTS, PARTS
 from avatar.skinning import SkinWeights
 from bench.field.posed_field import PosableSurface
 from bench.score.beside_hair import edges_at_hair, skin_beside_hair, skin_to_surface, stretched_edges
+from bench.score.landmarks import INNER, face_landmarks_mm
 from bench.score.lpips import CONVOLUTIONS, read_perceptual
 from bench.score.metrics import flip, ssim
 from bench.score.outlines import FOV, outline_scores
@@ -25,6 +27,7 @@ from bench.score.quality import evaluate
 from bench.score.region_scores import without_eyes
 from bench.score.skeleton_distance import BODY, LIMBS, joints_off, posed_skeletons, turned_off
 from bench.score.true_mesh import TrueMesh
+from capture.fit.points import body_points
 from capture.held_out import HeldOutView
 from command.errors import AssetError
 
@@ -63,6 +66,22 @@ def test_balls_within_and_beside_each_other_cover_what_their_circles_share(raste
     back = np.eye(4)
     back[0, 3] = -RADIUS
     assert scores(rasteriser, RADIUS, shift=RADIUS, T=back)["total"].worst > 0.99
+
+
+def test_features_of_the_face_are_as_far_off_as_they_are_true_elsewhere():
+    body, subject = builtin_body("male"), free_subject("male")
+    points = body_points()
+    places = np.stack([points[f"face_{k:02d}"].place(body.vertices, body.joints) for k in range(17, 68)])
+    face = np.zeros((68, 3))
+    face[INNER] = places + (0.0, 0.003, 0.0)
+    truth = TrueMesh(body.vertices, body.faces, body.skin, body.joints, subject.part, subject.hair,
+                     np.ones(len(body.faces), bool), None, face)  # fmt: skip
+    surface = PosableSurface(subject.vertices, body.faces, body.skin, body.joints, BIG_POSE)
+    case = geometry_case(truth, surface, truth.visible)
+    standing = surface.posed(np.zeros((52, 3)), body.joints[0])
+    pair = posed_pair(case, body.vertices, standing)
+    assert face_landmarks_mm(subject, case, pair) == pytest.approx(3.0, abs=0.3)
+    assert face_landmarks_mm(subject, replace(case, truth=replace(truth, face=None)), pair) is None
 
 
 REST = builtin_body("male").joints

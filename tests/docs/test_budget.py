@@ -12,15 +12,15 @@ BUDGET = {
     "command": 1_254,
     "avatar": 8_266,
     "geometry": 1_728,
-    "capture": 11_265,
+    "capture": 11_365,
     "train": 5_365,
     "bake": 4_439,
     "player": 17_755,
     "shaders": 971,
-    "synth": 2_688,
-    "bench": 5_514,
+    "synth": 2_754,
+    "bench": 5_562,
     "selfscan": 432,
-    "tests": 32_642,
+    "tests": 32_701,
 }
 
 

@@ -41,7 +41,7 @@ def test_first_guess_faces_the_right_way_in_every_frame_and_keypoints_alone_find
     assert np.abs(guess.root - twin.truth.root).max() < 0.25
     found, _ = fit_keypoints(person_of("male", 1.8), twin.footage, QUIET)
     assert limb_error(twin.truth, found) < 0.02
-    assert np.median(degrees_off(twin.truth, found)) < 2.5
+    assert np.median(degrees_off(twin.truth, found)) < 3.5
 
 
 @pytest.mark.slow
@@ -129,6 +129,8 @@ def test_the_bilaplacian_of_constants_is_nothing_and_points_of_the_face_lie_righ
     place = lambda name: points[name].place(free.vertices, free.joints)
     assert place("face_45")[0] > place("face_42")[0] > 0 > place("face_39")[0] > place("face_36")[0]
     assert place("face_30")[2] > place("face_27")[2] and place("face_08")[1] < place("face_57")[1]
+    # none inside of mouth or nose
+    assert all(place("face_30")[2] - place(f"face_{k:02d}")[2] < 0.045 for k in range(17, 68))
     for name in ("left_ear", "left_heel", "left_big_toe", "left_index_tip", "left_eye"):
         np.testing.assert_allclose(place(name), place(name.replace("left", "right")) * [-1, 1, 1], atol=0.012)
     assert place("left_heel")[2] < place("left_ankle")[2] < place("left_big_toe")[2]

@@ -11,15 +11,17 @@ from avatar.skeleton import JOINTS, joint_transforms
 from capture.fit import hand, head
 from capture.fit.body import CUTS, MOVING, body_names
 from capture.fit.contours import Silhouette
+from capture.fit.face import same_size, with_own_face
 from capture.fit.footage import Estimate
 from capture.fit.outline_term import Outlines
 from capture.fit.person import person_of
 from capture.fit.picture import fit_pose
+from capture.fit.points import body_points
 from capture.fit.priors import shared_layout, standing
 from capture.fit.scan import STEPS, template_of
 from capture.fit.solve import assemble, moved, posed_frames, solve
 from capture.keypoints.record import Keypoints
-from tests.turning_twin import in_clothes, pictured, turning_twin
+from tests.turning_twin import in_clothes, pictured, pixels_of, turning_twin
 
 FRAMES, SIZE = 16, 400
 
@@ -98,6 +100,42 @@ def test_head_is_followed_through_frames_that_show_no_face():
     # a point of the head lands where the person has it
     x = cameras[0, :3, :3] @ neck + cameras[0, :3, 3]
     np.testing.assert_allclose(x, [0, 0, 0.7], atol=0.01)
+
+
+def turning_head(**changed):
+    """A head that turns, as found, and its footage; `changed` biases of points."""
+    person = person_of("female")
+    heading = matrix_from_axis_angle(np.linspace(-1, 1, 5)[:, None] * [0, 1.0, 0])
+    neck = person.body.joints[head.HEAD]
+    truth = truth_of(person, np.array([0, 0, -0.7]) - heading @ neck, heading, np.zeros((5, 52, 3)))
+    truth, footage = shown(truth, head.NAMES, np.zeros(0, np.int64))
+    for name, bias in changed.items():
+        truth.bias[footage.names.index(name)] = bias
+    return truth, footage
+
+
+def test_a_head_seen_from_nearer_by_biases_that_draw_inwards_is_put_back_without_a_point_moving():
+    estimate, footage = turning_head(face_30=(0.0, 0.004, 0.0))
+    at = footage.points
+    places = np.stack([point.place(estimate.person.vertices(estimate.g), estimate.person.body.joints) for point in at])
+    inwards = replace(estimate, bias=estimate.bias - 0.1 * (places - places.mean(0)))
+    found = same_size(inwards, footage)
+    np.testing.assert_allclose(pixels_of(found, footage), pixels_of(inwards, footage), atol=1e-6)
+    assert np.abs(found.bias - estimate.bias).max() < 0.0015
+    assert found.root[2, 2] / inwards.root[2, 2] == pytest.approx(1 / 0.9, abs=0.02)
+
+
+def test_features_go_where_they_were_seen_and_the_scalp_stays():
+    lower = {f"face_{number}": (0.0, -0.004, 0.0) for number in range(48, 68)}
+    estimate, footage = turning_head(**lower)
+    chosen = head.head_vertices(estimate.person)
+    found = with_own_face(estimate, footage, chosen)
+    moved, points = found.person.offsets, body_points()
+    lips = moved[points["face_54"].vertices].mean(0)
+    assert lips[1] == pytest.approx(-0.003, abs=0.0005) and np.abs(lips[[0, 2]]).max() < 1e-3
+    crown, nose = estimate.person.body.vertices[:, 1].argmax(), points["face_27"].vertices
+    assert np.abs(moved[crown]).max() < 2e-4 > np.abs(moved[~chosen]).max() and np.abs(moved[nose]).max() < 1e-3
+    np.testing.assert_allclose(pixels_of(found, footage), pixels_of(estimate, footage), atol=1e-6)
 
 
 def in_one_picture(thickness=0.0):
