@@ -187,7 +187,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             for address, indices in _addresses(scene, command)
         ]
         show = opened_show(scene, avatars, live)
-        show.followed = scene if command.follow else None
+        show.followed = command.follow
         for note in show.notes:
             print(note)
         return play(

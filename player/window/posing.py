@@ -32,8 +32,15 @@ class Posing:
         if self.edit is None:
             self.state.timeline.playing = False
             self.edit = PoseEdit(self.state, self.state.selection.avatar)
-        elif self.edit.may_leave():
-            self.edit = None
+        else:
+            self.leave()
+
+    def leave(self) -> bool:
+        """End posing, so that the motion has the avatar again; False, once, where a pose would be lost."""
+        if not self.may_leave():
+            return False
+        self.edit = None
+        return True
 
     def may_leave(self) -> bool:
         """Whether the window may close; False, once, where a pose would be lost, which is said."""
