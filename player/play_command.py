@@ -14,6 +14,7 @@ from command.interrupt import deferred_stop
 from command.settings import AtLeast, OneOf
 from player.budget.ladder import parse_budget
 from player.effects.background import Background
+from player.effects.contact import Contact
 from player.effects.ground import Ground
 from player.live.command import LiveCommand
 from player.scene import arguments
@@ -86,6 +87,8 @@ class PlayCommand:
     budget: Annotated[float | None, TIME, Option(metavar="8ms", parse=parse_budget),
         "view mode and level are the most exact whose frames take no longer on this machine, and follow how "
         "busy it is"] = None
+    floor: Annotated[bool, LOOKS, Option(("--no-floor",)),
+        "without a scene: no floor, shadow and contact shadow at first"] = True
     gui: Annotated[bool, MACHINE.rare, Option(("--no-gui",)),
         "panels are hidden at first: keys and a line of text"] = True
     platform: Annotated[str, MACHINE.rare, OneOf(("auto", "null")),
@@ -143,8 +146,11 @@ def scene_of(command: PlayCommand) -> Scene:
 
         scene = read_scene(command.scene)
     else:
-        # who is shown to a user without an avatar stands on a floor
-        scene = Scene(_avatars(command), effects=Effects(ground=None if command.avatar else Ground()))
+        # the video of a capture has a floor of its own; what is behind would be hidden by one
+        floor = command.floor and not command.capture
+        ground = Ground(kind="shadow" if command.background and command.background.path else "plane")
+        effects = Effects(ground=ground, contact=Contact()) if floor else Effects()
+        scene = Scene(_avatars(command), effects=effects)
     cameras = list(scene.cameras)
     if command.camera_path:
         cameras.insert(0, SceneCamera("path", command.camera_path))

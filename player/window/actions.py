@@ -90,8 +90,8 @@ def toggle_list(parts: "WindowParts") -> None:
     parts.opening.toggle()
 
 
-def show_joint(name: str) -> Callable[["WindowParts"], None]:
-    return lambda parts: parts.viewpoint.show_part(JOINTS.index(name))
+def show_part(joint: str, middle: str) -> Callable[["WindowParts"], None]:
+    return lambda parts: parts.viewpoint.show_part(JOINTS.index(joint), JOINTS.index(middle))
 
 
 def move_wipe(part: float) -> Callable[["WindowParts"], None]:
@@ -129,9 +129,9 @@ FASTER = Action("play faster (up to 4 times)", ("]",), timed(lambda line: line.f
 
 NEXT_CAMERA = Action("next camera", ("c",), next_camera)
 RESET_CAMERA = Action("reset the orbit: everyone, whole", ("r", "1"), lambda parts: parts.viewpoint.reset())
-FACE = Action("look at the face", ("2",), show_joint("head"))
-LEFT_HAND = Action("look at the left hand", ("3",), show_joint("left_wrist"))
-RIGHT_HAND = Action("look at the right hand", ("4",), show_joint("right_wrist"))
+FACE = Action("look at the face", ("2",), show_part("head", "head"))
+LEFT_HAND = Action("look at the left hand", ("3",), show_part("left_wrist", "left_middle1"))
+RIGHT_HAND = Action("look at the right hand", ("4",), show_part("right_wrist", "right_middle1"))
 FOLLOW = Action("let the orbit follow the avatar, or stop", ("f",), toggle_follow)
 ADD_CAMERA_KEY = Action(
     "add this view to the camera path, at this moment", ("k",), lambda parts: parts.viewpoint.add_key()

@@ -175,7 +175,7 @@ def _put_behind(parts: "WindowParts", kind: str, path: str) -> bool:
         raise AssetError(f"{path}: the video of the capture is behind the avatar")
     effects = parts.look.effects
     if isinstance(effects.ground, Ground):
-        effects = replace(effects, ground=replace(effects.ground, kind="shadow"))
+        effects = replace(effects, ground=Ground(kind="shadow"))
     if kind == "panorama":
         effects = replace(effects, light=Light(by="panorama"))
     return parts.look.change(effects=effects, background=Background(BACKGROUNDS[kind], path=path))

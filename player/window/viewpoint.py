@@ -56,8 +56,9 @@ class Viewpoint:
         axis_angle, root = self.state.last.poses[index]
         return joint_transforms(axis_angle, self.state.avatars[index].joint_positions.astype(np.float64), root)
 
-    def show_part(self, joint: int) -> None:
-        """Look at what a joint of the selected avatar moves, from the front, and go along with it."""
+    def show_part(self, joint: int, middle: int) -> None:
+        """Look at what a joint of the selected avatar moves, from the front, and go along with the joint in its
+        middle."""
         index = self.state.selection.avatar
         avatar, joints, below = self.state.avatars[index], self._joints(index), [joint]
         # a child has a higher number than its parent
@@ -69,7 +70,7 @@ class Viewpoint:
         orbit, azimuth = self.cameras.orbit, float(np.arctan2(x, z))
         target, distance = fitted(points, azimuth, self._size, fov=orbit.fov)
         orbit.look(View(target, AROUND * distance, azimuth, ELEVATION))
-        self.cameras.kind, self._part = "orbit", (index, joint, joints[joint, :3, 3])
+        self.cameras.kind, self._part = "orbit", (index, middle, joints[middle, :3, 3])
 
     def reset(self) -> None:
         """The orbit as it was in the beginning: all of everyone."""
