@@ -175,6 +175,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
     """
     from player.live.session import live_session
     from player.scene.opened import opened_avatars
+    from player.window.recent import keep_recent
     from player.window.show import opened_show
 
     # an exception from a signal handler inside the initialisation of imgui-bundle would abort the process
@@ -193,6 +194,10 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             for address, indices in _addresses(scene, command)
         ]
         show = opened_show(scene, avatars, live)
+        # a script is a test, or a film of the window
+        opened = [command.scene] if command.scene else [*command.motion, *command.avatar]
+        for path in opened if command.script is None else ():
+            keep_recent(path)
         show.followed = command.follow
         for note in show.notes:
             print(note)

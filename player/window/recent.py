@@ -1,5 +1,7 @@
-"""Files that were opened before, newest first; kept beside the user's poses."""
+"""Files that were opened before, newest first; kept beside the user's poses. Nothing hangs on them: a list that cannot
+be read begins anew, one that cannot be written stays as it is."""
 
+from contextlib import suppress
 from pathlib import Path
 
 from command.errors import AssetError
@@ -17,7 +19,7 @@ def recent_file() -> Path:
 
 
 def read_recent() -> list[str]:
-    """Whole paths of those that are still there. A list that is absent or damaged begins anew: nothing hangs on it."""
+    """Whole paths of those that are still there."""
     try:
         found = read_json(recent_file(), "recent files")
     except AssetError:
@@ -27,13 +29,10 @@ def read_recent() -> list[str]:
 
 
 def keep_recent(path: str) -> None:
-    """A file was opened now. What travels with the program is not listed.
-
-    Raises:
-        AssetError: the list cannot be written.
-    """
+    """A file was opened now. What travels with the program is not listed."""
     if path in BUILTIN_AVATARS or not Path(path).exists():
         return
     whole = str(Path(path).absolute())
-    recent_file().parent.mkdir(parents=True, exist_ok=True)
-    write_json(recent_file(), [whole, *(name for name in read_recent() if name != whole)][:MOST])
+    with suppress(AssetError, OSError):
+        recent_file().parent.mkdir(parents=True, exist_ok=True)
+        write_json(recent_file(), [whole, *(name for name in read_recent() if name != whole)][:MOST])
