@@ -133,9 +133,7 @@ FACE = Action("look at the face", ("2",), show_part("head", "head"))
 LEFT_HAND = Action("look at the left hand", ("3",), show_part("left_wrist", "left_middle1"))
 RIGHT_HAND = Action("look at the right hand", ("4",), show_part("right_wrist", "right_middle1"))
 FOLLOW = Action("let the orbit follow the avatar, or stop", ("f",), toggle_follow)
-ADD_CAMERA_KEY = Action(
-    "add this view to the camera path, at this moment", ("k",), lambda parts: parts.viewpoint.add_key()
-)
+ADD_CAMERA_KEY = Action("add this view, at this moment, to a path", ("k",), lambda parts: parts.viewpoint.add_key())
 SAVE_CAMERA_PATH = Action("save the camera path", ("j",), lambda parts: parts.viewpoint.save_path())
 
 WIPE_LEFT = Action("show less of the video", ("-",), move_wipe(-0.05))
@@ -148,9 +146,9 @@ VIEW = Action("view dependence on or off", ("v",), lambda parts: parts.look.togg
 POSE = Action("pose the selected avatar by hand, or stop", ("p",), lambda parts: parts.posing.toggle())
 T_POSE = Action("take the T-pose of the sender in 3 seconds", ("t",), ask_for_t_pose)
 
-OPEN = Action("open a file: recent ones, and those of a folder", ("ctrl+o",), toggle_list)
+OPEN = Action("open a file", ("ctrl+o",), toggle_list)
 CLOSE_LIST = Action("close the list of files", ("escape",), toggle_list, when=lambda parts: parts.opening.listed)
-SAVE_SCENE = Action("save the scene, for `selfscan render --scene`", ("ctrl+s",), save_scene)
+SAVE_SCENE = Action("save the scene, for render --scene too", ("ctrl+s",), save_scene)
 FULL_SCREEN = Action("full screen, or back", ("f11",), lambda parts: parts.state.layout.screen.toggle_full())
 LEAVE_FULL = Action(
     "leave the full screen", ("escape",), FULL_SCREEN.do, when=lambda parts: parts.state.layout.screen.full
@@ -199,9 +197,9 @@ GROUPS = (
 MOUSE = (
     ("drag", "turn the camera"),
     ("right or middle drag", "shift the camera"),
-    ("wheel", "come nearer to what is under the pointer, go farther"),
-    ("drop a file", "open it: an avatar, a motion, a scene, a film, a picture, a panorama"),
-    ("click", "select the avatar and the joint there; beside it, no joint"),
+    ("wheel", "come nearer to what is there, go farther"),
+    ("drop a file", "open it"),
+    ("click", "select the avatar and the joint there"),
 )
 MOUSE_ON_VIDEO = (("drag the yellow line", "move the wipe between video and avatar"),)
 

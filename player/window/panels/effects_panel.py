@@ -120,8 +120,9 @@ def _number(ui: Widgets, setting: Setting, value: Any, label: str, name: str) ->
         color = ui.color(label, value[:3], tip, name=name)
         return None if color is None else (*color, 1.0)
     if setting.type is str:
-        # files are named in the scene
-        ui.path(label, value or "")
+        # files are dropped on the window, or named in the scene
+        if value:
+            ui.path(f"{label}: ", value)
         return None
     if get_origin(setting.type) is tuple:
         numbers = ui.numbers(label, value, tip, name=name)

@@ -13,6 +13,8 @@ from player.window.parts import WindowParts
 
 # letters' heights, and share of the window at most
 SIZE, SHARE = (56.0, 32.0), 0.92
+# a narrower picture leaves it the whole window
+NARROW = 28.0
 # of the column that says what a file is
 KIND = 5.0
 TITLE = imgui.ImVec4(0.6, 0.75, 0.95, 1.0)
@@ -23,6 +25,8 @@ def open_panel(ui: Widgets, parts: WindowParts) -> None:
     """Two columns: on the left what was opened before and what travels with the program, on the right a folder."""
     letter, layout = imgui.get_font_size(), parts.state.layout
     left, top, wide, high = (length / layout.screen.scale for length in layout.area)
+    if wide < NARROW * letter:
+        left, wide = 0.0, imgui.get_io().display_size.x
     size = imgui.ImVec2(min(SIZE[0] * letter, SHARE * wide), min(SIZE[1] * letter, SHARE * high))
     imgui.set_next_window_pos(imgui.ImVec2(left + 0.5 * wide, top + 0.5 * high), 0, imgui.ImVec2(0.5, 0.5))
     imgui.set_next_window_size(size)
