@@ -5,7 +5,7 @@ What stands behind a word is the effect's own record of settings; a panel that u
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from command.settings import Setting
 from player.effects.background import Background
@@ -77,7 +77,7 @@ LABELS = {
     "foot_lock": "feet", "secondary_motion": "hair and cloth",
 }  # fmt: skip
 # the choices of an effect: a word and what it stands for; None is off
-CHOICES: Mapping[str, Mapping[str, Any]] = {
+CHOICES: Mapping[str, Mapping[str, object]] = {
     "view": {
         "auto": "auto", "matte": "off", "quick shine": "vertex", "fine shine": "linear", "finest shine": "network",
     },
@@ -108,7 +108,7 @@ def label_of(setting: Setting) -> str:
     return LABELS.get(setting.name, setting.name.replace("_", " "))
 
 
-def choices_of(setting: Setting, value: object) -> tuple[list[str], list[Any], int]:
+def choices_of(setting: Setting, value: object) -> tuple[list[str], list[object], int]:
     """Words, what they stand for, and which is chosen; a new effect is off or on, and has its usual settings."""
     table = setting.table
     known = dict(CHOICES.get(setting.name) or {"off": None, "on": None if table is None else table()})

@@ -10,11 +10,13 @@ from files.whole import write_json
 from player.pose.library import user_folder
 from player.scene.scene import BUILTIN_AVATARS
 
+# files of the list; an older one falls off its end
 MOST = 10
 
 
 def recent_file() -> Path:
-    """Where they are listed."""
+    """Where they are listed: $XDG_DATA_HOME/selfscan/recent.json, usually ~/.local/share/selfscan/recent.json. A JSON
+    array of whole paths."""
     return user_folder().parent / "recent.json"
 
 

@@ -60,6 +60,7 @@ class Window:
         avatars, by which its prices are kept."""
         self.clock, self.screen = clock, Screen(size, null=null)
         self._begin(opened_parts(show, self.screen, clock, Messages(clock)), panels=panels)
+        show.fit_orbit(self.parts.state.layout.area[2:])
         # seconds that have passed for loose parts: also while the timeline stands
         self._moved = 0.0
         self._last_tick = clock()
@@ -71,12 +72,11 @@ class Window:
 
     def _begin(self, parts: WindowParts, *, panels: bool) -> None:
         """Show something, all of it new."""
-        show, self.parts = parts.opening.show, parts
-        self.renewal = Renewal(parts.opening) if show.followed else None
+        self.parts = parts
+        self.renewal = Renewal(parts.opening) if parts.opening.show.followed else None
         self.keyboard, self.pointer = Keyboard(parts), Pointer(parts)
         parts.state.layout.panels_on = panels
         self.panels = Panels(parts)
-        show.fit_orbit(parts.state.layout.area[2:])
 
     def _budgeted(self, budget: float, files: Sequence[str]) -> Budgeted:
         """What this window draws within a budget: a few moments of its motion are timed as the orbit sees them.
@@ -215,8 +215,9 @@ class Window:
             raise AssetError(f"{path}: has live poses: selfscan play --scene {path}")
         if not old.posing.leave():
             return False
-        new = opened_parts(opened_show(scene, opened_avatars(scene)), self.screen, self.clock, old.state.messages)
-        panels, layout = self.panels, old.state.layout
+        show, panels, layout = opened_show(scene, opened_avatars(scene)), self.panels, old.state.layout
+        show.fit_orbit(layout.area[2:])
+        new = opened_parts(show, self.screen, self.clock, old.state.messages)
         self._begin(new, panels=layout.panels_on)
         self._end(old, panels)
         return True

@@ -394,7 +394,7 @@ def test_an_effect_that_an_avatar_has_nothing_for_says_why(avatar):
 
 def test_an_effect_that_does_not_show_says_so_where_it_is_switched_on(window, monkeypatch):
     said = []
-    monkeypatch.setattr(Widgets, "remark", lambda self, text: said.append(text))
+    monkeypatch.setattr(Widgets, "caption", lambda self, text: said.append(text))
     wanted = replace(
         PLAIN, light=Light(), motion_blur=MotionBlur(), depth_of_field=DepthOfField(), foot_lock=FootLock()
     )

@@ -73,7 +73,7 @@ def _effect(ui: Widgets, parts: WindowParts, setting: Setting) -> None:
         imgui.indent()
         changed = _changed(ui, setting, value) or changed
         imgui.unindent()
-    ui.remark("; ".join(text for text in (why, parts.prices.words(name, effects)) if text))
+    ui.caption("; ".join(text for text in (why, parts.prices.words(name, effects)) if text))
     if changed != value:
         parts.look.change(effects=replace(effects, **{name: changed}))
 
@@ -90,7 +90,7 @@ def reason(parts: WindowParts, name: str) -> str:
     if name in ("motion_blur", "depth_of_field") and on is not None:
         return IN_FILMS
     if name == "foot_lock" and on is not None and all(track.motion.frames < 2 for track in playback.tracks):
-        return "nobody walks: no motion has two frames"
+        return "no motion has more than one frame"
     if name == "view" and on != "off" and not parts.look.renderer.has_view:
         return "matte: the file has no shine"
     return ""

@@ -15,7 +15,7 @@ from player.window.parts import WindowParts
 SIZE, SHARE = (56.0, 32.0), 0.92
 # a narrower picture leaves it the whole window
 NARROW = 28.0
-# of the column that says what a file is
+# width of the column that says what a file is
 KIND = 5.0
 TITLE = imgui.ImVec4(0.6, 0.75, 0.95, 1.0)
 FLAGS = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_move

@@ -181,7 +181,7 @@ class Widgets:
 
     # -- text
 
-    def remark(self, text: str) -> None:
+    def caption(self, text: str) -> None:
         """A few words under the last widget, as many lines as they need; none where there are no words."""
         if text:
             imgui.push_style_color(imgui.Col_.text, imgui.get_style().color_(imgui.Col_.text_disabled))
