@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from command.settings import Setting
+from command.settings import RGBA, Setting, color_of
 from player.effects.background import Background
 from player.effects.contact import Contact
 from player.effects.foot_lock import FootLock
@@ -19,10 +19,11 @@ from player.effects.secondary_motion import SecondaryMotion
 from player.scene.effects import STUDIO, Effects
 
 
-def color(text: str) -> tuple[float, float, float, float]:
-    """#rrggbb, opaque."""
-    red, green, blue = (part / 255 for part in bytes.fromhex(text[1:]))
-    return red, green, blue, 1.0
+def color(text: str) -> RGBA:
+    """#rrggbb."""
+    found = color_of(text)
+    assert found is not None, text
+    return found
 
 
 class Look(NamedTuple):
