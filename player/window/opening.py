@@ -21,7 +21,7 @@ from player.effects.ground import Ground
 from player.effects.light import Light
 from player.scene.arguments import PICTURES
 from player.scene.opened import opened_avatar, opened_track
-from player.scene.scene import BUILTIN_AVATARS, SceneAvatar
+from player.scene.scene import BUILTIN_AVATARS, Scene, SceneAvatar
 from player.window.recent import read_recent
 from player.window.show import Show
 
@@ -48,7 +48,7 @@ class Opening:
         # whether the list is shown, and what is on it
         self.listed = False
         self.recent: list[str] = []
-        self.files: list[Path] = []
+        self.files: list[tuple[Path, str]] = []
 
     def toggle(self) -> None:
         """Show the list or hide it."""
@@ -62,20 +62,20 @@ class Opening:
         # one that may not be looked into shows nothing
         with suppress(AssetError):
             names = folder_names(folder)
-        found = [folder / name for name in names if not name.startswith(".")]
-        found = [path for path in found if path.suffix.lower() in KINDS or path.is_dir()]
-        self.files = sorted(found, key=lambda path: (not path.is_dir(), name_order(path.name)))
+        paths = [folder / name for name in names if not name.startswith(".")]
+        found = [(path, "folder" if path.is_dir() else KINDS.get(path.suffix.lower(), "")) for path in paths]
+        found.sort(key=lambda one: (one[1] != "folder", name_order(one[0].name)))
+        self.files = [(path, kind) for path, kind in found if kind]
 
     def ask(self, path: str) -> None:
         """Open a file before the next frame, and hide the list."""
         self.asked.append(path)
         self.listed = False
 
-    def set_avatar(self, index: int, entry: SceneAvatar) -> None:
-        """An avatar of the scene is another one, or moves otherwise."""
-        avatars = list(self.scene.avatars)
-        avatars[index] = entry
-        self.scene = replace(self.scene, avatars=tuple(avatars))
+    def with_avatar(self, index: int, entry: SceneAvatar) -> Scene:
+        """The scene with another avatar, or one that moves otherwise."""
+        before = self.scene.avatars
+        return replace(self.scene, avatars=(*before[:index], entry, *before[index + 1 :]))
 
 
 def folder_names(folder: Path) -> list[str]:
@@ -120,13 +120,15 @@ def open_file(parts: "WindowParts", path: str) -> bool:
     kind = kind_of(path)
     if kind in BACKGROUNDS:
         return _put_behind(parts, kind, path)
-    # what is posed by hand would be lost
-    if not parts.posing.leave():
+    # a pose made by hand would be lost
+    if not parts.posing.may_leave():
         return False
     index = parts.state.selection.avatar
     entry = parts.opening.scene.avatars[index]
     done = put_avatar(parts, index, replace(entry, path=path)) if kind == "avatar" else _put_motion(parts, index, path)
-    parts.opening.show.fit_orbit(parts.state.layout.area[2:])
+    if done:
+        parts.posing.edit = None
+        parts.opening.show.fit_orbit(parts.state.layout.area[2:])
     return done
 
 
@@ -136,8 +138,7 @@ def put_avatar(parts: "WindowParts", index: int, entry: SceneAvatar) -> bool:
     Raises:
         AssetError: its file or its motion cannot be read.
     """
-    state, opening = parts.state, parts.opening
-    scene = replace(opening.scene, avatars=(*opening.scene.avatars[:index], entry, *opening.scene.avatars[index + 1 :]))
+    state, scene = parts.state, parts.opening.with_avatar(index, entry)
     avatar = opened_avatar(entry.path)
     track = opened_track(scene, index, avatar, parts.viewpoint.capture)
     before = state.avatars[index], state.playback.tracks[index]
@@ -147,7 +148,7 @@ def put_avatar(parts: "WindowParts", index: int, entry: SceneAvatar) -> bool:
         state.avatars[index], state.playback.tracks[index] = before
         return False
     state.selection.names[index] = Path(entry.path).stem
-    opening.set_avatar(index, entry)
+    parts.opening.scene = scene
     return True
 
 
@@ -156,13 +157,12 @@ def _put_motion(parts: "WindowParts", index: int, path: str) -> bool:
     state, opening = parts.state, parts.opening
     if any(index in posed for _, posed in state.playback.live):
         raise AssetError(f"{path}: {state.selection.names[index]} is posed live, not by a motion")
-    entry = replace(opening.scene.avatars[index], motion=path, start=0.0)
-    scene = replace(opening.scene, avatars=(*opening.scene.avatars[:index], entry, *opening.scene.avatars[index + 1 :]))
+    scene = opening.with_avatar(index, replace(opening.scene.avatars[index], motion=path, start=0.0))
     track = opened_track(scene, index, state.avatars[index], None)
     # a motion whose poses cannot be read is said before it is shown
     track.pose(0.0)
     state.playback.change(index, track)
-    opening.set_avatar(index, entry)
+    opening.scene = scene
     parts.viewpoint.begin()
     for note in track.motion.notes:
         print(note)
@@ -174,7 +174,7 @@ def _put_behind(parts: "WindowParts", kind: str, path: str) -> bool:
     if parts.wipe is not None:
         raise AssetError(f"{path}: the video of the capture is behind the avatar")
     effects = parts.look.effects
-    if isinstance(effects.ground, Ground):
+    if effects.ground is not None:
         effects = replace(effects, ground=Ground(kind="shadow"))
     if kind == "panorama":
         effects = replace(effects, light=Light(by="panorama"))

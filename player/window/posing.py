@@ -32,15 +32,8 @@ class Posing:
         if self.edit is None:
             self.state.timeline.playing = False
             self.edit = PoseEdit(self.state, self.state.selection.avatar)
-        else:
-            self.leave()
-
-    def leave(self) -> bool:
-        """End posing, so that the motion has the avatar again; False, once, where a pose would be lost."""
-        if not self.may_leave():
-            return False
-        self.edit = None
-        return True
+        elif self.edit.may_leave():
+            self.edit = None
 
     def may_leave(self) -> bool:
         """Whether the window may close; False, once, where a pose would be lost, which is said."""

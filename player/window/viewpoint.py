@@ -87,7 +87,8 @@ class Viewpoint:
         target = orbit.target if kind == "follow" or along is None else orbit.target + along
         places = [tuple(np.round(place, 6).tolist()) for place in (eye, target)]
         seconds = self.cameras.turn_seconds if kind == "turntable" else None
-        return SceneCamera(kind, seconds=seconds, fov_deg=float(np.degrees(orbit.fov)), eye=places[0], target=places[1])
+        fov = round(float(np.degrees(orbit.fov)), 6)
+        return SceneCamera(kind, seconds=seconds, fov_deg=fov, eye=places[0], target=places[1])
 
     @property
     def video_frame(self) -> int:

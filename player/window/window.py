@@ -213,7 +213,7 @@ class Window:
         scene, old = read_scene(path), self.parts
         if any(entry.live is not None for entry in scene.avatars):
             raise AssetError(f"{path}: has live poses: selfscan play --scene {path}")
-        if not old.posing.leave():
+        if not old.posing.may_leave():
             return False
         show, panels, layout = opened_show(scene, opened_avatars(scene)), self.panels, old.state.layout
         show.fit_orbit(layout.area[2:])

@@ -99,8 +99,12 @@ def test_a_scene_replaces_all_once_it_is_open_and_a_pose_is_not_lost(window, tmp
     (tmp_path / "live.toml").write_text('[[avatar]]\npath = "mannequin"\nlive = "udp:1"\n', "utf-8")
     run(window, "o wait wait drop:live.toml wait")
     assert "selfscan play --scene live.toml" in window.parts.state.messages.last
-    run(window, "o p m drop:evening.toml wait")
-    assert "not saved" in window.parts.state.messages.last and len(window.parts.state.avatars) == 1
+    (tmp_path / "bad.glb").write_bytes(b"nothing")
+    run(window, "o p m")
+    pose = window.parts.posing.poses()[0]
+    for name, said in (("evening.toml", "not saved"), ("bad.glb", "bad.glb: expected"), (SKY, "sky.hdr opened")):
+        run(window, f"drop:{name} wait")
+        assert said in window.parts.state.messages.last and np.array_equal(window.parts.posing.poses()[0][0], pose[0])
     run(window, "drop:evening.toml wait wait")
     parts = window.parts
     assert len(parts.state.avatars) == 2 and parts.look.effects.contact is not None and parts.posing.edit is None

@@ -71,8 +71,7 @@ def _folder(ui: Widgets, parts: WindowParts) -> None:
     if _row(ui, "..", "folder", "The folder around this one.", "folder around"):
         opening.go(opening.folder.parent)
         return
-    for path in opening.files:
-        kind = "folder" if path.is_dir() else kind_in_words(path)
+    for path, kind in opening.files:
         if _row(ui, path.name, kind, f"Open {path}", f"file {path.name}"):
             opening.go(path) if kind == "folder" else opening.ask(str(path))
             return
