@@ -14,6 +14,7 @@ from command.interrupt import deferred_stop
 from command.settings import AtLeast, OneOf
 from player.budget.ladder import parse_budget
 from player.effects.background import Background
+from player.effects.contact import Contact
 from player.effects.ground import Ground
 from player.live.command import LiveCommand
 from player.scene import arguments
@@ -86,6 +87,8 @@ class PlayCommand:
     budget: Annotated[float | None, TIME, Option(metavar="8ms", parse=parse_budget),
         "view mode and level are the most exact whose frames take no longer on this machine, and follow how "
         "busy it is"] = None
+    floor: Annotated[bool, LOOKS, Option(("--no-floor",)),
+        "without a scene: no floor, shadow and contact shadow at first"] = True
     gui: Annotated[bool, MACHINE.rare, Option(("--no-gui",)),
         "panels are hidden at first: keys and a line of text"] = True
     platform: Annotated[str, MACHINE.rare, OneOf(("auto", "null")),
@@ -143,8 +146,11 @@ def scene_of(command: PlayCommand) -> Scene:
 
         scene = read_scene(command.scene)
     else:
-        # who is shown to a user without an avatar stands on a floor
-        scene = Scene(_avatars(command), effects=Effects(ground=None if command.avatar else Ground()))
+        # the video of a capture has a floor of its own; what is behind would be hidden by one
+        floor = command.floor and not command.capture
+        ground = Ground(kind="shadow" if command.background and command.background.path else "plane")
+        effects = Effects(ground=ground, contact=Contact()) if floor else Effects()
+        scene = Scene(_avatars(command), effects=effects)
     cameras = list(scene.cameras)
     if command.camera_path:
         cameras.insert(0, SceneCamera("path", command.camera_path))
@@ -169,6 +175,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
     """
     from player.live.session import live_session
     from player.scene.opened import opened_avatars
+    from player.window.recent import keep_recent
     from player.window.show import opened_show
 
     # an exception from a signal handler inside the initialisation of imgui-bundle would abort the process
@@ -187,7 +194,11 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             for address, indices in _addresses(scene, command)
         ]
         show = opened_show(scene, avatars, live)
-        show.followed = scene if command.follow else None
+        # a script is a test, or a film of the window
+        opened = [command.scene] if command.scene else [*command.motion, *command.avatar]
+        for path in opened if command.script is None else ():
+            keep_recent(path)
+        show.followed = command.follow
         for note in show.notes:
             print(note)
         return play(

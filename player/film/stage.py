@@ -12,19 +12,18 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from avatar.camera import Camera
+from avatar.camera import Camera, orbit_camera
 from avatar.hull import hull_of, outermost, posed_hull
 from command.errors import AssetError
 from player.scene.camera_path import CameraPath, is_path
-from player.scene.framing import FOV, evenly, facing, fitted_camera, orbit
+from player.scene.framing import ELEVATION, FOV, View, evenly, facing, fitted, fitted_round, view_from
 from player.scene.motions import BLOCK
 from player.scene.opened import notes_of, opened_avatars, opened_camera, opened_tracks
 from player.scene.renderer import Pose
-from player.scene.scene import Scene, SceneCamera
+from player.scene.scene import FITTED, Scene, SceneCamera
 
 # a function of the frame number, which may lie between two frames, and the first avatar's pelvis
 CameraAt = Callable[[float, Float[np.ndarray, "3"]], Camera]
-FITTED = ("front", "orbit", "turntable")
 SIZE = (640, 640)
 FITTED_TO = 64  # frames of each block of a film that fitted cameras look at
 TURN = 6.0  # seconds of a turntable's round when nothing on it moves
@@ -34,7 +33,8 @@ TURN = 6.0  # seconds of a turntable's round when nothing on it moves
 class Fit:
     """What a fitted camera must see, and the side it begins from: found once, then good for every machine."""
 
-    points: Float[np.ndarray, "points 3"]  # world metres, or about the first pelvis for an orbit
+    # world metres, or about the first pelvis for a camera that goes along with it
+    points: Float[np.ndarray, "points 3"]
     azimuth: float  # radians
 
 
@@ -106,12 +106,12 @@ class Stage:
         return [track.pose_beside(frame / self.rate, share / self.rate) for track in self.tracks]
 
     def fit(self, start: int, stop: int) -> Fit | None:
-        """What the fitted cameras of a film of these frames look at; None for cameras from files."""
-        if self.camera.kind not in FITTED:
+        """What the fitted cameras of a film of these frames look at; None for cameras from files, and placed ones."""
+        if self.camera.kind not in FITTED or self.camera.eye is not None:
             return None
         if self.still is not None:
             start, stop = self.still, self.still + 1
-        following = self.camera.kind == "orbit"
+        following = self.camera.kind in ("follow", "orbit")
         everything, azimuth = np.zeros((0, 3)), 0.0
         hulls = [hull_of(avatar) for avatar in self.avatars]
         for first in range(start, stop, BLOCK):
@@ -134,24 +134,44 @@ class Stage:
 
     def camera_at(self, fit: Fit | None, start: int, stop: int, size: tuple[int, int]) -> CameraAt:
         """The camera of a film of the frames start .. stop - 1."""
-        kind, kept = self.camera.kind, self.kept
-        fov = FOV if self.camera.fov_deg is None else np.radians(self.camera.fov_deg)
-        if fit is not None and kind == "front":
-            front = fitted_camera(fit.points, fit.azimuth, size, fov=fov)
-            return lambda _frame, _root: front
-        if fit is not None:
-            round_ = orbit(fit.points, fit.azimuth, size, fov=fov)
-            if kind == "orbit":
-                seconds = self.camera.seconds or (stop - start) / self.rate
-                return lambda frame, root: round_((frame - start) / self.rate / seconds, root)
-            # the turn joins: a film of one turn runs in a loop
-            seconds, middle = self.turn, np.zeros(3)
-            return lambda frame, _root: round_(math.fmod((frame - start) / self.rate / seconds, 1.0), middle)
+        kept = self.kept
+        if self.camera.kind in FITTED:
+            return self._fitted_at(fit, start, stop, size)
         if isinstance(kept, CameraPath):
             return lambda frame, _root: kept.camera(frame / self.rate, size)
         assert kept is not None
         cameras = [camera.resized(size) if camera.size != size else camera for camera in kept]
         return lambda frame, _root: cameras[min(int(frame + 0.5), len(cameras) - 1)]
+
+    def _fitted_at(self, fit: Fit | None, start: int, stop: int, size: tuple[int, int]) -> CameraAt:
+        """A camera that stands, goes along with the first avatar, round it, or both."""
+        kind, fov = self.camera.kind, FOV if self.camera.fov_deg is None else float(np.radians(self.camera.fov_deg))
+        view, origin = self._view(fit, size, fov)
+
+        def seen(turn: float, root: Float[np.ndarray, "3"]) -> Camera:
+            target, azimuth = view.target + (root - origin) * [1.0, 0.0, 1.0], view.azimuth + 2 * np.pi * turn
+            return orbit_camera(target, view.distance, azimuth, view.elevation, size, fov)
+
+        if kind == "front":
+            return lambda _frame, _root: seen(0.0, origin)
+        if kind == "follow":
+            return lambda _frame, root: seen(0.0, root)
+        if kind == "orbit":
+            seconds = self.camera.seconds or (stop - start) / self.rate
+            return lambda frame, root: seen((frame - start) / self.rate / seconds, root)
+        # the turn joins: a film of one turn runs in a loop
+        return lambda frame, _root: seen(math.fmod((frame - start) / self.rate / self.turn, 1.0), origin)
+
+    def _view(self, fit: Fit | None, size: tuple[int, int], fov: float) -> tuple[View, Float[np.ndarray, "3"]]:
+        """How a camera that is fitted or placed begins, and where the first pelvis is then."""
+        if self.camera.eye is not None and self.camera.target is not None:
+            return view_from(self.camera.eye, self.camera.target), self.tracks[0].pose(0.0)[1]
+        assert fit is not None
+        if self.camera.kind in ("orbit", "turntable"):
+            found = fitted_round(fit.points, size, fov=fov)
+        else:
+            found = fitted(fit.points, fit.azimuth, size, fov=fov)
+        return View(found.target, found.distance, fit.azimuth, ELEVATION), np.zeros(3)
 
 
 def camera_from_option(text: str) -> SceneCamera:

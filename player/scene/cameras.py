@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from avatar.camera import Camera, orbit_camera
 from player.scene.camera_path import CameraPath
-from player.scene.framing import ELEVATION, FOV
+from player.scene.framing import ELEVATION, FOV, View
 
 STEEPEST = 1.5  # radians; a camera never goes over a pole
 TURN_SECONDS = 12.0  # a turntable's round
@@ -18,12 +18,23 @@ class Orbit:
     """A camera round a point, turned and brought nearer by hand."""
 
     def __init__(self, target: Float[np.ndarray, "3"], distance: float, azimuth: float, fov: float = FOV):
-        self.home, self.fov = (np.array(target, np.float64), distance, azimuth, ELEVATION), fov
+        self.home, self.fov = View(np.array(target, np.float64), distance, azimuth, ELEVATION), fov
         self.reset()
 
     def reset(self) -> None:
-        target, self.distance, self.azimuth, self.elevation = self.home
+        self.look(self.home)
+
+    def look(self, view: View) -> None:
+        """Take a view."""
+        target, self.distance, self.azimuth, self.elevation = view
         self.target = target.copy()
+
+    def move_home(self, home: View) -> None:
+        """Another home; a view that was chosen by hand stays."""
+        here = (*self.target, self.distance, self.azimuth, self.elevation)
+        was_home, self.home = here == (*self.home.target, *self.home[1:]), home
+        if was_home:
+            self.reset()
 
     def turn(self, dx: float, dy: float) -> None:
         """Drag by pixels: half a degree each; never over the poles."""
@@ -36,9 +47,13 @@ class Orbit:
         metres = 2 * self.distance * np.tan(self.fov / 2) / max(height, 1)
         self.target -= metres * (dx * right + dy * down)
 
-    def approach(self, clicks: float) -> None:
-        nearer = 0.9 ** float(np.clip(clicks, -100, 100))
-        self.distance = float(np.clip(self.distance * nearer, 0.05, 1000.0))
+    def approach(self, clicks: float, beside: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Come nearer to what is seen `beside` the middle, right and down in metres at a metre's depth: what is as far
+        away as the target stays there in the picture."""
+        before, nearer = self.distance, 0.9 ** float(np.clip(clicks, -100, 100))
+        self.distance = float(np.clip(before * nearer, 0.05, 1000.0))
+        right, down = self.camera((1, 1)).camera_from_world[:2, :3]
+        self.target += (before - self.distance) * (beside[0] * right + beside[1] * down)
 
     def camera(self, size: tuple[int, int], along: Float[np.ndarray, "3"] | None = None) -> Camera:
         """The camera, moved along with the avatar by `along`, metres."""
@@ -89,10 +104,10 @@ class Cameras:
         if self.kind in ("orbit", "turntable"):
             self.orbit.shift(dx, dy, height)
 
-    def approach(self, clicks: float) -> None:
-        """The wheel."""
+    def approach(self, clicks: float, beside: tuple[float, float] = (0.0, 0.0)) -> None:
+        """The wheel; a turntable keeps its middle."""
         if self.kind in ("orbit", "turntable"):
-            self.orbit.approach(clicks)
+            self.orbit.approach(clicks, beside if self.kind == "orbit" else (0.0, 0.0))
 
     def camera(
         self, size: tuple[int, int], seconds: float, frame: int, along: Float[np.ndarray, "3"] | None = None

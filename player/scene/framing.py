@@ -1,6 +1,6 @@
 """Cameras that fit what is to be seen: in front of the avatar, or going round it."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -112,19 +112,20 @@ def fitted_round(points: Float[Array, "points 3"], size: tuple[int, int], *, fov
     return Fitted(middle + [0.0, lift, 0.0], distance)
 
 
-def orbit(
-    points: Float[Array, "points 3"], start: float, size: tuple[int, int], *, fov: float = FOV
-) -> Callable[[float, Float[Array, "3"]], Camera]:
-    """A camera that goes round once, from azimuth `start`, and along with the avatar.
+class View(NamedTuple):
+    """A camera round a point."""
 
-    A function of the turn in [0, 1) and the pelvis; `points` are extents with `following`.
-    """
-    target, distance = fitted_round(points, size, fov=fov)
+    target: Float[Array, "3"]
+    distance: float  # metres
+    azimuth: float  # radians, 0 along +z of the world, growing towards +x
+    elevation: float  # radians
 
-    def camera_at(turn: float, root: Float[Array, "3"]) -> Camera:
-        return orbit_camera(target + root * [1.0, 0.0, 1.0], distance, start + 2 * np.pi * turn, ELEVATION, size, fov)
 
-    return camera_at
+def view_from(eye: Sequence[float], target: Sequence[float]) -> View:
+    """The view from a place of another one, which has to be apart from it."""
+    x, y, z = (away := np.subtract(eye, target)).tolist()
+    distance = float(np.linalg.norm(away))
+    return View(np.array(target, np.float64), distance, float(np.arctan2(x, z)), float(np.arcsin(y / distance)))
 
 
 def _slopes(size: tuple[int, int], fov: float) -> tuple[float, float]:

@@ -17,7 +17,9 @@ from player.scene.effects import STUDIO, USUAL, Effects
 
 # where the ground of a motion is: avatar/motion/ground.py
 GROUNDS = ("auto", "find", "keep")
-CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")
+# cameras that are fitted to the avatars, or placed by `eye` and `target`
+FITTED = ("front", "follow", "orbit", "turntable")
+CAMERAS = (*FITTED, "file", "path", "capture")
 # a film's frames per second and a round's seconds: beyond them containers of films count wrong
 FILM_RATES, TURNS = (0.01, 1000.0), (0.01, 86_400.0)
 MOST_AVATARS = 256
@@ -78,7 +80,8 @@ class SceneCamera:
     """One camera. Render uses the first, play switches between them."""
 
     kind: Annotated[str, OneOf(CAMERAS),
-        "front, orbit and turntable are fitted to the avatars; the others need a path"] = "front"
+        "front, follow (along with the first avatar), orbit (and round it) and turntable are fitted to the avatars; "
+        "the others need a path"] = "front"
     path: Annotated[str | None, FilePlace(),
         "of file: a camera; of path: keys of a camera path; of capture: its folder"] = None
     name: Annotated[str | None, "what the window calls it; of capture, the part: body, head, hand_left, hand_right"] = (
@@ -87,6 +90,9 @@ class SceneCamera:
     seconds: Annotated[float | None, AtLeast(TURNS[0]), AtMost(TURNS[1]),
         "of orbit and turntable: one round; none: the length of the motion"] = None
     fov_deg: Annotated[float | None, AtLeast(0.01), "of the fitted cameras: vertical field of view; none: 35"] = None
+    eye: Annotated[tuple[float, float, float] | None,
+        "instead of fitting: where the camera stands when the scene begins, metres; with `target`"] = None
+    target: Annotated[tuple[float, float, float] | None, "and what it looks at"] = None
 
     def __post_init__(self):
         needs_file = self.kind in ("file", "path", "capture")
@@ -95,6 +101,10 @@ class SceneCamera:
             raise ValueError(f"camera {self.kind} {need}")
         if self.fov_deg is not None and not self.fov_deg < 180:
             raise ValueError(f"fov_deg: expected less than 180, found {self.fov_deg:g}")
+        if (self.eye is None) != (self.target is None) or (needs_file and self.eye is not None):
+            raise ValueError("eye: expected with target, for a camera without a path")
+        if self.eye is not None and self.eye == self.target:
+            raise ValueError(f"eye: expected another place than target, found {self.eye}")
 
 
 @settings

@@ -1,13 +1,28 @@
-"""Reads scene.toml. Every complaint names the file, the line and the key, what was expected and what was found."""
+"""Reads and writes scene.toml. Every complaint names the file, the line and the key, what was expected and what was
+found."""
 
+import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
 
 from command.errors import AssetError
-from command.settings import KeyPath, Refused, SettingsSource, record_of
+from command.settings import (
+    RGBA,
+    Color,
+    KeyPath,
+    Refused,
+    Rows,
+    SettingsSource,
+    record_of,
+    rule_of,
+    settings_of,
+    with_files,
+)
 from files.input_file import one_line, read_text
+from files.whole import write_text
 from player.scene.scene import Scene
 
 LARGEST_FILE = 1 << 20  # bytes; a scene is a page of text
@@ -39,6 +54,49 @@ def read_scene(path: Path | str) -> Scene:
         return record_of(Scene, content, SettingsSource(path.parent), shown="a scene")
     except Refused as error:
         raise AssetError(f"{path}:{line_of(text, error.at)}: {error}") from None
+
+
+def write_scene(path: Path | str, scene: Scene) -> None:
+    """Write what of a scene is not as usual, whole or not at all. Files in the scene's folder are named relative to it,
+    so that both can be moved together; others by their whole paths."""
+    folder = Path(path).absolute().parent
+
+    def placed(name: str) -> str:
+        whole = Path(name).absolute()
+        inside = whole.relative_to(folder).as_posix() if whole.is_relative_to(folder) else str(whole)
+        # a bare word may be the name of a built-in thing
+        return inside if "." in inside or "/" in inside else f"./{inside}"
+
+    write_text(path, "\n".join([*_lines(with_files(scene, placed)), ""]).lstrip("\n"))
+
+
+def _lines(record: object, table: str = "") -> Iterator[str]:
+    """The lines of a table: its own keys, then the tables in it."""
+    settings = [(setting, setting.value_in(record)) for setting in settings_of(type(record))]
+    settings = [(setting, value) for setting, value in settings if value is not None and value != setting.default]
+    inner = [is_dataclass(value) or rule_of(setting, Rows) is not None for setting, value in settings]
+    for (setting, value), table_like in zip(settings, inner, strict=True):
+        if not table_like:
+            yield f"{setting.key} = {_hex(value) if rule_of(setting, Color) else _toml(value)}"
+    for (setting, value), table_like in zip(settings, inner, strict=True):
+        name = f"{table}{setting.key}"
+        for one in (value if isinstance(value, tuple) else (value,)) if table_like else ():
+            yield from ("", f"[[{name}]]" if isinstance(value, tuple) else f"[{name}]")
+            yield from _lines(one, f"{name}.")
+
+
+def _toml(value: object) -> str:
+    """A string, a number, or several in brackets."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    # JSON leaves one control character as it is that TOML does not allow
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _hex(color: RGBA) -> str:
+    """#rrggbb or #rrggbbaa of a premultiplied color."""
+    straight = [part / (color[3] or 1.0) for part in color[:3]] + [color[3]] * (color[3] < 1)
+    return json.dumps("#" + "".join(f"{round(255 * part):02x}" for part in straight))
 
 
 def line_of(text: str, at: KeyPath) -> int:

@@ -10,6 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from avatar.skeleton import JOINTS
+from player.window.saved_scene import save_scene
+
 if TYPE_CHECKING:
     from player.window.parts import WindowParts
     from player.window.posing import PoseEdit
@@ -53,7 +56,8 @@ def shown_key(key: str) -> str:
     return "+".join([*(word.capitalize() for word in modifiers), name])
 
 
-ARROWS = {"left": "left arrow", "right": "right arrow", "f1": "F1", "escape": "Escape", "delete": "Delete"}
+ARROWS = {"left": "left arrow", "right": "right arrow", "escape": "Escape", "delete": "Delete"}
+ARROWS |= {key: key.upper() for key in ("f1", "f11")}
 
 
 def timed(act: Callable[["Timeline"], object]) -> Callable[["WindowParts"], object]:
@@ -80,6 +84,14 @@ def toggle_help(parts: "WindowParts") -> None:
 def ask_for_t_pose(parts: "WindowParts") -> None:
     for live, _ in parts.state.playback.live:
         live.ask_for_t_pose()
+
+
+def toggle_list(parts: "WindowParts") -> None:
+    parts.opening.toggle()
+
+
+def show_part(joint: str, middle: str) -> Callable[["WindowParts"], None]:
+    return lambda parts: parts.viewpoint.show_part(JOINTS.index(joint), JOINTS.index(middle))
 
 
 def move_wipe(part: float) -> Callable[["WindowParts"], None]:
@@ -116,11 +128,12 @@ SLOWER = Action("play slower (down to 0.1 times)", ("[",), timed(lambda line: li
 FASTER = Action("play faster (up to 4 times)", ("]",), timed(lambda line: line.faster(1)))
 
 NEXT_CAMERA = Action("next camera", ("c",), next_camera)
-RESET_CAMERA = Action("reset the orbit", ("r",), lambda parts: parts.viewpoint.cameras.orbit.reset())
+RESET_CAMERA = Action("reset the orbit: everyone, whole", ("r", "1"), lambda parts: parts.viewpoint.reset())
+FACE = Action("look at the face", ("2",), show_part("head", "head"))
+LEFT_HAND = Action("look at the left hand", ("3",), show_part("left_wrist", "left_middle1"))
+RIGHT_HAND = Action("look at the right hand", ("4",), show_part("right_wrist", "right_middle1"))
 FOLLOW = Action("let the orbit follow the avatar, or stop", ("f",), toggle_follow)
-ADD_CAMERA_KEY = Action(
-    "add this view to the camera path, at this moment", ("k",), lambda parts: parts.viewpoint.add_key()
-)
+ADD_CAMERA_KEY = Action("add this view, at this moment, to a path", ("k",), lambda parts: parts.viewpoint.add_key())
 SAVE_CAMERA_PATH = Action("save the camera path", ("j",), lambda parts: parts.viewpoint.save_path())
 
 WIPE_LEFT = Action("show less of the video", ("-",), move_wipe(-0.05))
@@ -133,6 +146,13 @@ VIEW = Action("view dependence on or off", ("v",), lambda parts: parts.look.togg
 POSE = Action("pose the selected avatar by hand, or stop", ("p",), lambda parts: parts.posing.toggle())
 T_POSE = Action("take the T-pose of the sender in 3 seconds", ("t",), ask_for_t_pose)
 
+OPEN = Action("open a file", ("ctrl+o",), toggle_list)
+CLOSE_LIST = Action("close the list of files", ("escape",), toggle_list, when=lambda parts: parts.opening.listed)
+SAVE_SCENE = Action("save the scene, for render --scene too", ("ctrl+s",), save_scene)
+FULL_SCREEN = Action("full screen, or back", ("f11",), lambda parts: parts.state.layout.screen.toggle_full())
+LEAVE_FULL = Action(
+    "leave the full screen", ("escape",), FULL_SCREEN.do, when=lambda parts: parts.state.layout.screen.full
+)
 SCREENSHOT = Action("save a screenshot, without panels", ("s",), lambda parts: parts.recorder.shoot())
 FILM = Action("start or end a film, without panels", ("o",), lambda parts: parts.recorder.toggle_film())
 PANELS = Action("show or hide the panels", ("g",), toggle_panels)
@@ -159,9 +179,15 @@ GROUPS = (
             PLAY, STEP_BACK, STEP_ON, SECOND_BACK, SECOND_ON, FIRST_FRAME, LAST_FRAME, SLOWER, FASTER,
         ),
     ),
-    KeyGroup("Camera", (NEXT_CAMERA, RESET_CAMERA, FOLLOW, ADD_CAMERA_KEY, SAVE_CAMERA_PATH)),
+    KeyGroup(
+        "Camera",
+        (
+            RESET_CAMERA, FACE, LEFT_HAND, RIGHT_HAND, NEXT_CAMERA, FOLLOW, ADD_CAMERA_KEY, SAVE_CAMERA_PATH,
+        ),
+    ),
     KeyGroup("Avatars", (NEXT_AVATAR, VIEW, POSE)),
-    KeyGroup("Window", (SCREENSHOT, FILM, PANELS, HELP, CLOSE_HELP, QUIT)),
+    KeyGroup("Files", (OPEN, CLOSE_LIST, SAVE_SCENE, SCREENSHOT, FILM)),
+    KeyGroup("Window", (FULL_SCREEN, PANELS, HELP, CLOSE_HELP, LEAVE_FULL, QUIT)),
     VIDEO,
     KeyGroup("Live", (T_POSE,), lambda parts: bool(parts.state.playback.live)),
     POSING,
@@ -171,8 +197,9 @@ GROUPS = (
 MOUSE = (
     ("drag", "turn the camera"),
     ("right or middle drag", "shift the camera"),
-    ("wheel", "come nearer, go farther"),
-    ("click", "select the avatar and the joint there; beside it, no joint"),
+    ("wheel", "come nearer to what is there, go farther"),
+    ("drop a file", "open it"),
+    ("click", "select the avatar and the joint there"),
 )
 MOUSE_ON_VIDEO = (("drag the yellow line", "move the wipe between video and avatar"),)
 

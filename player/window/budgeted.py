@@ -100,7 +100,8 @@ def without_effect(name: str, effects: Effects, avatars: Sequence[Avatar]) -> st
     light any avatar; the light of its videos only one whose file holds it."""
     if name == "secondary_motion" and not any(is_loose(level) for avatar in avatars for level in avatar.levels):
         return NOT_LOOSE
-    by_capture = effects.light is None or effects.light.by == "capture"
-    if name == "light" and by_capture and not any(avatar.light is not None for avatar in avatars):
+    own = effects.light is None or effects.light.by in ("capture", "albedo")
+    # without lamps it is even, and as the colors have it
+    if name == "light" and own and not any(avatar.light is not None and avatar.light.lamps for avatar in avatars):
         return NO_LIGHT
     return ""

@@ -12,6 +12,7 @@ NAMED = {
     "[": glfw.KEY_LEFT_BRACKET, "]": glfw.KEY_RIGHT_BRACKET, "-": glfw.KEY_MINUS, "=": glfw.KEY_EQUAL,
     "tab": glfw.KEY_TAB, "enter": glfw.KEY_ENTER, "escape": glfw.KEY_ESCAPE, "backspace": glfw.KEY_BACKSPACE,
     "delete": glfw.KEY_DELETE, "ctrl": glfw.KEY_LEFT_CONTROL, "shift": glfw.KEY_LEFT_SHIFT, "f1": glfw.KEY_F1,
+    "f11": glfw.KEY_F11,
 }  # fmt: skip
 KEYS = NAMED | {letter: ord(letter.upper()) for letter in "abcdefghijklmnopqrstuvwxyz"}
 KEYS |= {digit: ord(digit) for digit in "0123456789"}

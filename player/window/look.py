@@ -41,16 +41,17 @@ class Appearance:
 
     def change(
         self, *, effects: Effects | None = None, background: Background | None = None, level: int | None = None
-    ) -> None:
-        """Other effects, background or level of detail; where that cannot be, it is said and nothing changes."""
+    ) -> bool:
+        """Other effects, background or level of detail; where that cannot be, it is said and nothing changes. Whether
+        it is drawn now."""
         rung = self.rung if level is None or level == self.level else Rung("by hand", self.effects.view, level)
-        self._change(effects or self.effects, background or self.background, rung)
+        return self._change(effects or self.effects, background or self.background, rung)
 
-    def renew(self) -> None:
-        """Make what is drawn anew: avatars are others, or otherwise chosen."""
-        self._change(self.effects, self.background, self.rung, anew=True)
+    def renew(self) -> bool:
+        """Make what is drawn anew: avatars are others, or otherwise chosen. Whether they can be drawn so."""
+        return self._change(self.effects, self.background, self.rung, anew=True)
 
-    def _change(self, effects: Effects, background: Background, rung: Rung, *, anew: bool = False) -> None:
+    def _change(self, effects: Effects, background: Background, rung: Rung, *, anew: bool = False) -> bool:
         try:
             if anew or replace(rung, name=self.rung.name, view=self.rung.view) != self.rung:
                 new = self._new_renderer(effects, background, rung)
@@ -61,8 +62,9 @@ class Appearance:
                 self.renderer.change(effects=effects, background=self._drawn_first(background))
         except (ValueError, AssetError) as error:
             self._messages.say(str(error))
-            return
+            return False
         self.effects, self.background, self.rung = effects, background, rung
+        return True
 
     def toggle_view(self) -> None:
         """View dependence on or off."""

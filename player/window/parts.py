@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from player.window.budgeted import Budgeted, EffectPrices
 from player.window.look import Appearance
+from player.window.opening import Opening
 from player.window.posing import Posing
 from player.window.recorder import Recorder
 from player.window.screen import Screen
@@ -24,6 +25,7 @@ class WindowParts:
     posing: Posing
     recorder: Recorder
     wipe: Wipe | None
+    opening: Opening
     budget: Budgeted | None = None
     prices: EffectPrices = field(default_factory=EffectPrices)
     # asked to close
@@ -34,9 +36,9 @@ class WindowParts:
         self.closing = self.posing.may_leave()
 
 
-def opened_parts(show: Show, screen: Screen, clock: Callable[[], float]) -> WindowParts:
+def opened_parts(show: Show, screen: Screen, clock: Callable[[], float], messages: Messages) -> WindowParts:
     """The parts for a show, as it was opened."""
-    messages, capture = Messages(clock), show.capture
+    capture = show.capture
     state = WindowState(
         avatars=show.avatars,
         playback=show.playback,
@@ -52,4 +54,5 @@ def opened_parts(show: Show, screen: Screen, clock: Callable[[], float]) -> Wind
         posing=Posing(state),
         recorder=Recorder(state, clock),
         wipe=Wipe(screen.context, capture) if capture is not None else None,
+        opening=Opening(show),
     )

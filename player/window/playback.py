@@ -17,10 +17,20 @@ class Playback:
         self, tracks: Sequence[Track], live: Sequence[tuple[LivePlayback, Sequence[int]]] = (), *,
         rate: float | None = None,
     ):  # fmt: skip
-        self.tracks, self.live = list(tracks), list(live)
-        rate = rate or tracks[0].motion.rate
-        frames = max(int(np.ceil(track.end * rate - 1e-6)) for track in tracks)
-        self.timeline = Timeline(max(frames, 1), rate)
+        self.tracks, self.live, self._rate = list(tracks), list(live), rate
+        self.timeline = self._timeline()
+
+    def _timeline(self) -> Timeline:
+        rate = self._rate or self.tracks[0].motion.rate
+        frames = max(int(np.ceil(track.end * rate - 1e-6)) for track in self.tracks)
+        return Timeline(max(frames, 1), rate)
+
+    def change(self, index: int, track: Track) -> None:
+        """Another motion for an avatar, which stands where it stood; time begins anew, as long as it takes now."""
+        before, self.tracks[index] = self.tracks[index], track
+        track.at, track.turn = before.at, before.turn
+        line, self.timeline = self.timeline, self._timeline()
+        self.timeline.playing, self.timeline.speed = line.playing, line.speed
 
     def advance(self, dt: float | int) -> None:
         """Let time pass."""

@@ -50,6 +50,14 @@ class Pointer:
     def _screen(self) -> Screen:
         return self.parts.state.layout.screen
 
+    @property
+    def beside_middle(self) -> tuple[float, float]:
+        """How far right of and below the middle of the picture it points, in metres at a metre's depth."""
+        camera, (x, y) = self.parts.state.last.camera, self._screen.pixel(*self.at)
+        if camera is None:
+            return 0.0, 0.0
+        return float((x - camera.K[0, 2]) / camera.K[0, 0]), float((y - camera.K[1, 2]) / camera.K[1, 1])
+
     def move(self, x: float | int, y: float | int) -> None:
         """The pointer moved."""
         cameras, wipe, tool = self.parts.viewpoint.cameras, self.parts.wipe, self._tool

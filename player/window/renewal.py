@@ -3,43 +3,38 @@
 from pathlib import Path
 
 from command.errors import AssetError
-from player.scene.opened import opened_avatar, opened_track
-from player.scene.scene import MANNEQUINS, Scene
+from player.scene.scene import BUILTIN_AVATARS
+from player.window.opening import Opening, put_avatar
 from player.window.parts import WindowParts
 
 Stamp = tuple[int, int]
 
 
 class Renewal:
-    """The files of a scene's avatars, looked at again and again; camera, time, place and hand-made poses stay."""
+    """The files of what is shown, looked at again and again; camera, time, place and hand-made poses stay."""
 
-    def __init__(self, scene: Scene):
-        self._scene = scene
-        files = {k: Path(entry.path) for k, entry in enumerate(scene.avatars) if entry.path not in MANNEQUINS}
-        self._files = {k: (file, stamp_of(file)) for k, file in files.items()}
+    def __init__(self, opening: Opening):
+        self._opening = opening
+        # what each file was when it was shown
+        self._shown: dict[str, Stamp | None] = {}
+        self.due()
 
     def due(self) -> list[int]:
         """The avatars whose file is another one than was shown last."""
-        return [k for k, (file, shown) in self._files.items() if stamp_of(file) not in (None, shown)]
+        entries = [(k, entry.path) for k, entry in enumerate(self._opening.scene.avatars)]
+        files = [(k, path, stamp_of(Path(path))) for k, path in entries if path not in BUILTIN_AVATARS]
+        return [k for k, path, stamp in files if stamp not in (None, self._shown.setdefault(path, stamp))]
 
     def take(self, parts: WindowParts) -> None:
         """Show what is due; a file that cannot be read is named, and the avatar stays as it is."""
-        due = self.due()
-        for k in due:
-            file, entry = self._files[k][0], self._scene.avatars[k]
-            self._files[k] = file, stamp_of(file)
+        for k in self.due():
+            entry = self._opening.scene.avatars[k]
+            self._shown[entry.path] = stamp_of(Path(entry.path))
             try:
-                avatar = opened_avatar(entry.path)
-                track = opened_track(self._scene, k, avatar, parts.viewpoint.capture)
+                if put_avatar(parts, k, entry):
+                    parts.state.messages.say(f"{entry.path}: a new one is shown")
             except AssetError as error:
                 parts.state.messages.say(str(error))
-                continue
-            before = parts.state.playback.tracks[k]
-            track.start, track.at, track.turn = before.start, before.at, before.turn
-            parts.state.avatars[k], parts.state.playback.tracks[k] = avatar, track
-            parts.state.messages.say(f"{file}: a new one is shown")
-        if due:
-            parts.look.renew()
 
 
 def stamp_of(file: Path) -> Stamp | None:

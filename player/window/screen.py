@@ -25,6 +25,32 @@ class Screen:
         name = "glfw null + OSMesa" if null else "window"
         self.context = wrap_context(address_of, lambda: glfw.make_context_current(self.handle), name)
         self._drawn_size = (0, 0)
+        # left, top, width and height, units, to go back to from the full screen; None: it is not full
+        self._windowed: tuple[int, int, int, int] | None = None
+
+    @property
+    def full(self) -> bool:
+        """Whether the window has the whole screen."""
+        return self._windowed is not None
+
+    def toggle_full(self) -> None:
+        """The whole of the screen that has most of the window, or the window as it was before."""
+        if self._windowed is not None:
+            # its types do not know that a window may belong to none
+            no_monitor: Any = None
+            glfw.set_window_monitor(self.handle, no_monitor, *self._windowed, glfw.DONT_CARE)
+            self._windowed = None
+            return
+        left, top, wide, high = (*glfw.get_window_pos(self.handle), *self.units)
+
+        def shared(monitor: Any) -> int:
+            x, y, w, h = glfw.get_monitor_workarea(monitor)
+            return max(min(left + wide, x + w) - max(left, x), 0) * max(min(top + high, y + h) - max(top, y), 0)
+
+        if monitor := max(glfw.get_monitors(), key=shared, default=None):
+            size, rate = glfw.get_video_mode(monitor).size, glfw.get_video_mode(monitor).refresh_rate
+            self._windowed = left, top, wide, high
+            glfw.set_window_monitor(self.handle, monitor, 0, 0, *size, rate)
 
     @property
     def size(self) -> tuple[int, int]:

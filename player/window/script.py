@@ -7,6 +7,7 @@
     turn:DX:DY       turn the camera                         type:TEXT             letters into a field (_ is a space)
     near:CLICKS      the wheel, over the picture             wheel:CLICKS          the wheel, where the pointer is
     size:W:H         resize the window                       down:KEY up:KEY       hold a key
+    drop:FILE        a file is dropped on the window
 
 So what a test sees does not depend on the machine's speed.
 """
@@ -48,6 +49,8 @@ def _steps(word: str) -> list[Step]:
         return [lambda window: _aim(window, rest.replace("_", " ")), *_pressed(0)]
     if name == "type" and rest:
         return [lambda window, letter=letter: window.on_text(ord(letter)) for letter in rest.replace("_", " ")]
+    if name == "drop" and rest:
+        return [lambda window: window.on_drop([rest])]
     if name in ("down", "up") and rest in KEYS:
         return [lambda window: window.on_key(KEYS[rest], name == "down")]
     try:

@@ -15,19 +15,22 @@ from player.scene.camera_path import CameraPath
 from player.scene.cameras import TURN_SECONDS, Cameras, Orbit
 from player.scene.capture_view import CaptureView, open_capture
 from player.scene.effects import STUDIO, Effects
-from player.scene.framing import FOV, extent, facing, fitted
+from player.scene.framing import ELEVATION, FOV, View, extent, facing, fitted, view_from
 from player.scene.motions import BLOCK
 from player.scene.opened import notes_of, opened_camera, opened_tracks
 from player.scene.scene import Scene, SceneCamera
 from player.window.playback import Playback
 
-KINDS = {"front": "orbit", "orbit": "turntable"}  # what a scene's camera is in the window, where it has another name
+# what a scene's camera is in the window, where it has another name
+KINDS = {"front": "orbit", "follow": "orbit", "orbit": "turntable"}
 
 
 @dataclass
 class Show:
     """Avatars with names, their playback, the cameras, and how they are drawn."""
 
+    # what was opened
+    scene: Scene
     avatars: list[Avatar]
     names: list[str]
     playback: Playback
@@ -37,13 +40,13 @@ class Show:
     capture: CaptureView | None = None
     # whether the orbit goes along with the first avatar from the start
     follow: bool = False
-    # whose avatars' files may be replaced while they are shown; None: they are not looked at again
-    followed: Scene | None = None
+    # whether the avatars' files may be replaced while they are shown
+    followed: bool = False
     # what was assumed, for printing
     notes: list[str] = field(default_factory=list)
 
     def fit_orbit(self, size: tuple[int, int]) -> None:
-        """Put the orbit in front of the first avatar, so near that a picture of this size holds all of them."""
+        """Put the orbit's home in front of the first avatar, so near that a picture of this size holds all of them."""
         points: list[Float[np.ndarray, "points 3"]] = []
         for avatar, track in zip(self.avatars, self.playback.tracks, strict=True):
             turned = matrix_from_axis_angle(np.array([0.0, track.turn, 0.0]))
@@ -51,9 +54,8 @@ class Show:
         everything = np.concatenate(points)
         first = self.playback.tracks[0].pose(0.0)[0]
         azimuth = facing(first, self.avatars[0].joint_positions.astype(np.float64))
-        fov = self.cameras.orbit.fov
-        target, distance = fitted(everything, azimuth, size, fov=fov)
-        self.cameras.orbit = Orbit(target, distance, azimuth, fov)
+        orbit = self.cameras.orbit
+        orbit.move_home(View(*fitted(everything, azimuth, size, fov=orbit.fov), azimuth, ELEVATION))
 
 
 def opened_show(
@@ -85,8 +87,10 @@ def opened_show(
         kind=next(iter(named)) if kind == "file" else kind,
         turn_seconds=first.seconds or TURN_SECONDS,
     )
+    if first.eye is not None and first.target is not None:
+        cameras.orbit.look(view_from(first.eye, first.target))
     return Show(
-        list(avatars), [Path(entry.path).stem for entry in scene.avatars],
+        scene, list(avatars), [Path(entry.path).stem for entry in scene.avatars],
         Playback(tracks, live, rate=scene.rate), cameras, scene.effects, scene.background, capture,
-        follow=first.kind == "orbit", notes=notes_of(tracks),
+        follow=first.kind in ("follow", "orbit"), notes=notes_of(tracks),
     )  # fmt: skip

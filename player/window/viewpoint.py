@@ -1,11 +1,23 @@
 """Where the picture is seen from: the cameras, whether they go along with the avatar, and the path being recorded."""
 
+import numpy as np
+from jaxtyping import Float
+
 from avatar.camera import Camera
+from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.progress import plural
+from player.draw.posing import posed_vertices
 from player.scene.cameras import Cameras
 from player.scene.capture_view import CaptureView
+from player.scene.framing import ELEVATION, View, fitted
+from player.scene.scene import SceneCamera
 from player.window.recorder import free_name
 from player.window.state import WindowState
+
+HEAD = JOINTS.index("head")
+# how much farther away than a part just fits, so that what is about it is seen too
+AROUND = 1.25
+FLAT = (1.0, 0.0, 1.0)
 
 
 class Viewpoint:
@@ -15,14 +27,68 @@ class Viewpoint:
         self.state, self.cameras, self.capture = state, cameras, capture
         # the orbit goes along with the first avatar, from where that was in the beginning
         self.follow = follow
-        self._start = state.last.poses[0][1]
+        # or with a joint of an avatar, and where that was then
+        self._part: tuple[int, int, Float[np.ndarray, "3"]] | None = None
+        self.begin()
+
+    def begin(self) -> None:
+        """The first avatar is where it begins."""
+        self._start = self.state.playback.poses()[0][1]
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        _, _, width, height = self.state.layout.area
+        return max(width, 1), max(height, 1)
 
     def camera(self) -> Camera:
         """What is looked through now, for the free area."""
-        _, _, width, height = self.state.layout.area
-        along = (self.state.last.poses[0][1] - self._start) * [1.0, 0.0, 1.0] if self.follow else None
-        size = (max(width, 1), max(height, 1))
-        return self.cameras.camera(size, self.state.timeline.seconds, self.video_frame, along)
+        return self.cameras.camera(self._size, self.state.timeline.seconds, self.video_frame, self._along())
+
+    def _along(self) -> Float[np.ndarray, "3"] | None:
+        """How far the orbit has gone along, metres."""
+        if self._part is not None:
+            index, joint, place = self._part
+            return self._joints(index)[joint, :3, 3] - place
+        return (self.state.last.poses[0][1] - self._start) * FLAT if self.follow else None
+
+    def _joints(self, index: int) -> Float[np.ndarray, "52 4 4"]:
+        """Where the joints of an avatar are now."""
+        axis_angle, root = self.state.last.poses[index]
+        return joint_transforms(axis_angle, self.state.avatars[index].joint_positions.astype(np.float64), root)
+
+    def show_part(self, joint: int, middle: int) -> None:
+        """Look at what a joint of the selected avatar moves, from the front, and go along with the joint in its
+        middle."""
+        index = self.state.selection.avatar
+        avatar, joints, below = self.state.avatars[index], self._joints(index), [joint]
+        # a child has a higher number than its parent
+        for child in range(joint, len(PARENTS)):
+            below += [child] * (PARENTS[child] in below)
+        level = avatar.level(2)
+        points = posed_vertices(avatar, level, self.state.last.poses[index])[np.isin(level.skin.heaviest, below)]
+        x, _, z = joints[HEAD if joint == HEAD else 0, :3, 2]
+        orbit, azimuth = self.cameras.orbit, float(np.arctan2(x, z))
+        target, distance = fitted(points, azimuth, self._size, fov=orbit.fov)
+        orbit.look(View(target, AROUND * distance, azimuth, ELEVATION))
+        self.cameras.kind, self._part = "orbit", (index, middle, joints[middle, :3, 3])
+
+    def reset(self) -> None:
+        """The orbit as it was in the beginning: all of everyone."""
+        self._part = None
+        self.cameras.orbit.reset()
+
+    def scene_camera(self) -> SceneCamera:
+        """The orbit or turntable of now as a scene has it."""
+        kind, orbit, along = self.cameras.kind, self.cameras.orbit, self._along()
+        if kind != "turntable":
+            kind = "follow" if self.follow and self._part is None else "front"
+        # what goes along is placed as it was in the beginning
+        eye = orbit.camera((1, 1), None if kind == "follow" else along).eye
+        target = orbit.target if kind == "follow" or along is None else orbit.target + along
+        places = [tuple(np.round(place, 6).tolist()) for place in (eye, target)]
+        seconds = self.cameras.turn_seconds if kind == "turntable" else None
+        fov = round(float(np.degrees(orbit.fov)), 6)
+        return SceneCamera(kind, seconds=seconds, fov_deg=fov, eye=places[0], target=places[1])
 
     @property
     def video_frame(self) -> int:

@@ -9,22 +9,29 @@ OSMesa, driven by a script (player/window/script.py) that calls what glfw calls.
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import glfw
 import moderngl
 
+from command.errors import AssetError
 from command.interrupt import StopRequest, deferred_stop
 from player.scene.cameras import moved_into
+from player.scene.opened import opened_avatars
+from player.scene.scene_file import read_scene
 from player.window.budgeted import Budgeted
 from player.window.keyboard import Keyboard
+from player.window.opening import kind_of, open_file
 from player.window.panels.panels import Panels
-from player.window.parts import opened_parts
+from player.window.parts import WindowParts, opened_parts
 from player.window.pointer import Pointer
+from player.window.recent import keep_recent
 from player.window.recorder import save_picture
 from player.window.renewal import Renewal
 from player.window.screen import Screen
 from player.window.script import RATE, steps
-from player.window.show import Show
+from player.window.show import Show, opened_show
+from player.window.state import Messages
 from player.window.timeline import LONGEST_STEP
 
 Clock = Callable[[], float]
@@ -52,11 +59,7 @@ class Window:
         """panels: whether they are shown at first. budget: milliseconds of a frame's own work, and the files of the
         avatars, by which its prices are kept."""
         self.clock, self.screen = clock, Screen(size, null=null)
-        self.renewal = None if show.followed is None else Renewal(show.followed)
-        self.parts = opened_parts(show, self.screen, clock)
-        self.keyboard, self.pointer = Keyboard(self.parts), Pointer(self.parts)
-        self.parts.state.layout.panels_on = panels
-        self.panels = Panels(self.parts)
+        self._begin(opened_parts(show, self.screen, clock, Messages(clock)), panels=panels)
         show.fit_orbit(self.parts.state.layout.area[2:])
         # seconds that have passed for loose parts: also while the timeline stands
         self._moved = 0.0
@@ -66,6 +69,14 @@ class Window:
         if budget is not None:
             self.parts.budget = self._budgeted(*budget)
         self._connect()
+
+    def _begin(self, parts: WindowParts, *, panels: bool) -> None:
+        """Show something, all of it new."""
+        self.parts = parts
+        self.renewal = Renewal(parts.opening) if parts.opening.show.followed else None
+        self.keyboard, self.pointer = Keyboard(parts), Pointer(parts)
+        parts.state.layout.panels_on = panels
+        self.panels = Panels(parts)
 
     def _budgeted(self, budget: float, files: Sequence[str]) -> Budgeted:
         """What this window draws within a budget: a few moments of its motion are timed as the orbit sees them.
@@ -90,6 +101,9 @@ class Window:
         glfw.set_scroll_callback(handle, lambda _w, _dx, dy: self.on_wheel(dy))
         glfw.set_cursor_pos_callback(handle, lambda _w, x, y: self.on_pointer(x, y))
         glfw.set_mouse_button_callback(handle, lambda _w, button, action, _m: self.on_button(button, bool(action)))
+        # its types have the callback of C, with a count
+        dropped: Any = lambda _w, paths: self.on_drop(paths)
+        glfw.set_drop_callback(handle, dropped)
         glfw.set_window_refresh_callback(handle, lambda _w: self._stir())
         glfw.set_framebuffer_size_callback(handle, lambda _w, _wide, _high: self._stir())
         glfw.set_window_close_callback(
@@ -118,7 +132,7 @@ class Window:
     def on_wheel(self, clicks: float | int) -> None:
         self._stir()
         if not self.panels.on_wheel(clicks, self._over_picture()):
-            self.parts.viewpoint.cameras.approach(clicks)
+            self.parts.viewpoint.cameras.approach(clicks, self.pointer.beside_middle)
 
     def on_pointer(self, x: float | int, y: float | int) -> None:
         """The pointer moved, window units."""
@@ -136,6 +150,12 @@ class Window:
             self.pointer.release(button)
         elif not taken:
             self.pointer.press(button)
+
+    def on_drop(self, paths: Sequence[str]) -> None:
+        """Files were dropped on the window."""
+        self._stir()
+        for path in paths:
+            self.parts.opening.ask(path)
 
     def _over_picture(self) -> bool:
         return self.parts.state.layout.holds(*self.pointer.at)
@@ -155,6 +175,7 @@ class Window:
         size = self.screen.size
         if not (size[0] and size[1]):
             return
+        self._open_asked()
         parts, last = self.parts, self.parts.state.last
         if self.renewal is not None:
             self.renewal.take(parts)
@@ -174,6 +195,32 @@ class Window:
         now = self.clock()
         last.times.append(max(now - self._last_tick, 0.0))
         self._last_tick = now
+
+    def _open_asked(self) -> None:
+        """Open what was dropped or chosen; what cannot be is said, and what was shown stays."""
+        asked, self.parts.opening.asked = self.parts.opening.asked, []
+        for path in asked:
+            try:
+                done = self._open_scene(path) if kind_of(path) == "scene" else open_file(self.parts, path)
+                if done:
+                    self.parts.state.messages.say(f"{Path(path).name} opened")
+                    keep_recent(path)
+            except (AssetError, ValueError) as error:
+                self.parts.state.messages.say(str(error))
+
+    def _open_scene(self, path: str) -> bool:
+        """Show a scene instead of what is shown, once all of it is open. Whether it is shown."""
+        scene, old = read_scene(path), self.parts
+        if any(entry.live is not None for entry in scene.avatars):
+            raise AssetError(f"{path}: has live poses: selfscan play --scene {path}")
+        if not old.posing.may_leave():
+            return False
+        show, panels, layout = opened_show(scene, opened_avatars(scene)), self.panels, old.state.layout
+        show.fit_orbit(layout.area[2:])
+        new = opened_parts(show, self.screen, self.clock, old.state.messages)
+        self._begin(new, panels=layout.panels_on)
+        self._end(old, panels)
+        return True
 
     def _draw_picture(self, screen: moderngl.Framebuffer) -> None:
         """The avatars, and the source video where there is one."""
@@ -258,15 +305,20 @@ class Window:
 
     def close(self) -> None:
         """Write what is being filmed, free everything and close the window."""
-        parts = self.parts
+        try:
+            self._end(self.parts, self.panels)
+        finally:
+            self.screen.close()
+
+    def _end(self, parts: WindowParts, panels: Panels) -> None:
+        """Write what is being filmed, and free what was shown."""
         try:
             parts.recorder.close()
         finally:
             parts.state.playback.close()
-            for thing in (self.panels, parts.wipe, parts.look.renderer):
+            for thing in (panels, parts.wipe, parts.look.renderer):
                 if thing is not None:
                     thing.release()
-            self.screen.close()
 
 
 def play(

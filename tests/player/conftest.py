@@ -50,10 +50,10 @@ def open_window(osmesa, avatar_path, tmp_path, monkeypatch):
     windows = []
 
     def opened(*more, size=(900, 640), live=(), script=""):
-        arguments = [avatar_path, *more, *(("--live", "udp:1") if live else ())]
+        arguments = [avatar_path, *more, "--no-floor", *(("--live", "udp:1") if live else ())]
         scene = scene_of(parse(PlayCommand, arguments, PLAY))
         show = opened_show(scene, opened_avatars(scene), live)
-        show.followed = scene if "--follow" in more else None
+        show.followed = "--follow" in more
         windows.append(Window(show, size=size, null=True))
         windows[-1].run(script.split(), keep=True)
         return windows[-1]

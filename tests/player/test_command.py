@@ -12,6 +12,8 @@ from avatar.camera import orbit_camera, write_camera
 from avatar.motion.amass import write_amass
 from avatar.motion.read import builtin_motion
 from command.errors import AssetError
+from player.effects.background import Background
+from player.effects.ground import Ground
 from player.film.command import render_main
 from player.play_command import PlayCommand, scene_of
 from player.scene.framing import facing, pelvis_height
@@ -135,9 +137,18 @@ def test_builtin_is_a_baked_person_and_the_woman_is_to_be_filmed_first():
     with pytest.raises(AssetError, match="builtin:female: a person to film, no avatar yet"):
         read_avatar("builtin:female")
     scene = scene_of(PlayCommand())
-    assert [actor.path for actor in scene.avatars] == ["builtin"] and scene.effects.ground is not None
-    own = scene_of(PlayCommand(avatar=("me.glb",)))
-    assert [actor.path for actor in own.avatars] == ["me.glb"] and own.effects.ground is None
+    assert [actor.path for actor in scene.avatars] == ["builtin"]
+
+
+def test_the_window_has_a_floor_unless_it_would_hide_what_is_behind():
+    def ground(**given):
+        effects = scene_of(PlayCommand(avatar=("me.glb",), **given)).effects
+        assert (effects.ground is None) == (effects.contact is None)
+        return effects.ground
+
+    assert ground() == Ground() and ground(background=Background(color=(0, 0, 0, 1))) == Ground()
+    assert ground(background=Background("video", path="a.mp4")) == Ground(kind="shadow")
+    assert ground(floor=False) is None and ground(capture="folder") is None
 
 
 def test_builtin_is_rendered_by_name_and_the_front_is_where_the_chest_looks(tmp_path, avatar):

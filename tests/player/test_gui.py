@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from command.settings import settings_of
+from avatar.light import CaptureLight, Lamp
+from command.settings import OneOf, rule_of, settings_of
+from experiments.scene_docs import DOCS
 
 pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 
@@ -13,16 +15,20 @@ import glfw  # before imgui_bundle
 from imgui_bundle import imgui
 
 from player.effects.background import Background
-from player.effects.lens import MotionBlur
+from player.effects.foot_lock import FootLock
+from player.effects.lens import DepthOfField, MotionBlur
 from player.effects.light import Light
 from player.effects.outline import Outline
 from player.live.inbox import Inbox
 from player.live.json_pose import build_pose
 from player.live.playback import LivePlayback
 from player.scene.address import Address
-from player.scene.effects import PLAIN, Effects
+from player.scene.effects import PLAIN, STUDIO, Effects
 from player.window.budgeted import NO_LIGHT, NOT_LOOSE, without_effect
+from player.window.looks import BOARDS, LOOKS, SPOTLIGHT
 from player.window.panels.draw import DrawLists
+from player.window.panels.effects_panel import IN_FILMS
+from player.window.panels.widgets import Widgets
 from tests.window_script import run
 
 SIZE = (900, 640)
@@ -39,11 +45,18 @@ def picture(window, image):
     return image[top : top + height, left : left + width]
 
 
+def choose(window, name, number):
+    """One of the words of a list."""
+    run(window, f"press:{name} wait")
+    x, y = window.panels.places[name.replace("_", " ")]
+    return run(window, f"click:{x}:{y + 26 + 19 * number} wait wait")
+
+
 def test_panels_stand_around_the_picture_and_g_hides_them(window):
     with_panels = run(window, "wait")
     left, top, width, height = window.parts.state.layout.area
     assert left > 200 and width > 400 and height > 400
-    assert {"play", "scrub", "avatar 0", "camera", "view", "screenshot"} <= window.panels.places.keys()
+    assert {"play", "scrub", "avatar 0", "camera", "studio", "screenshot"} <= window.panels.places.keys()
     assert "T-pose" not in window.panels.places  # nothing live
     column = with_panels[: top + height, : left - 2]
     assert len(np.unique(column.reshape(-1, 3), axis=0)) > 50  # letters and widgets
@@ -97,7 +110,7 @@ def test_the_long_slider_scrubs_and_lists_open_over_the_picture(window):
 
 
 def test_a_place_is_typed_and_the_avatar_goes_there(window):
-    before = picture(window, run(window, "wait"))
+    before = picture(window, run(window, "press:place_and_start wait"))
     x, y = window.panels.places["turn"]
     run(window, f"drag:{x}:{y}:{x + 40}:{y}")
     assert 20 < np.degrees(window.parts.state.playback.tracks[0].turn) < 180
@@ -132,9 +145,7 @@ def test_clicking_the_avatar_marks_the_joint(window):
 
 def test_effects_change_what_is_drawn_and_what_cannot_be_is_said(window, capsys):
     smooth = picture(window, run(window, "wait"))[60:]
-    run(window, "press:antialiasing wait")
-    x, y = window.panels.places["antialiasing"]
-    plain = picture(window, run(window, f"click:{x}:{y + 46} wait"))[60:]
+    plain = picture(window, choose(window, "antialiasing", 1))[60:]
     assert window.parts.look.effects.antialiasing == window.parts.look.renderer.effects.antialiasing == "none"
     changed = (plain != smooth).any(-1)
     assert 20 < changed.sum() < 0.2 * (plain != plain[0, 0]).any(-1).sum()  # contours and edges of the paint
@@ -144,24 +155,39 @@ def test_effects_change_what_is_drawn_and_what_cannot_be_is_said(window, capsys)
     assert np.array_equal(picture(window, run(window, "wait"))[60:], plain)
 
 
-def test_an_effect_is_ticked_and_set_up_in_the_panel(window):
+def test_an_effect_is_chosen_by_a_word_and_its_numbers_unfold(window):
     def drawn():
         return [item.item.name for item in window.parts.look.renderer.drawn if item.decision.runs]
 
     run(window, "wait")
     assert "outline" not in drawn() and "outline width" not in window.panels.places
-    run(window, "press:outline wait wait")
+    assert "outline numbers" not in window.panels.places
+    choose(window, "outline", 2)
     assert window.parts.look.effects.outline == Outline() and "outline" in drawn()
+    run(window, "press:outline_numbers wait")
     assert {"outline color", "outline width"} <= set(window.panels.places)
-    run(window, "press:outline wait wait")
+    choose(window, "outline", 0)
     assert window.parts.look.effects.outline is None and "outline" not in drawn()
+
+
+def test_a_look_sets_light_floor_edges_and_background_and_is_marked(window):
+    pictures = [picture(window, run(window, f"press:{name.lower()} wait"))[60:] for name in LOOKS]
+    for image, look in zip(pictures, LOOKS.values(), strict=True):
+        assert np.abs(image[0, 0] / 255 - look.background.color[:3]).max() < 0.01
+    effects = window.parts.look.effects
+    assert (effects.light, effects.ground) == (SPOTLIGHT, BOARDS) and effects.contact is not None
+    window.parts.look.change(background=Background("hdr", path=str(DOCS / "scenes" / "sky.hdr")))
+    run(window, "press:outdoors wait")
+    assert window.parts.look.background.kind == "hdr" and window.parts.look.effects.light == Light(by="panorama")
+    run(window, "press:studio wait")
+    assert window.parts.look.background == STUDIO and window.parts.look.effects.light is None
 
 
 def test_what_each_effect_costs_stands_beside_it_until_something_changes(window):
     wanted = replace(PLAIN, antialiasing="fxaa", outline=Outline(), motion_blur=MotionBlur())
     window.parts.look.change(effects=wanted)
     prices, before = window.parts.prices, run(window, "g wait")
-    run(window, "g wait press:prices wait wait wait wait wait wait")
+    run(window, "g press:Avatars press:More wait press:prices wait wait wait wait wait wait")
     told = {name: prices.words(name, wanted) for name in ("outline", "antialiasing", "motion_blur", "contact")}
     # the window draws each moment once; what is not asked for has its price before it is ticked
     assert all(words.endswith(" ms") and float(words[:-3]) >= 0 for words in told.values())
@@ -174,9 +200,19 @@ def test_what_each_effect_costs_stands_beside_it_until_something_changes(window)
 @pytest.mark.parametrize("setting", [s for s in settings_of(Effects) if s.table is not None], ids=lambda s: s.name)
 def test_each_effect_has_a_row_for_each_of_its_settings(window, setting):
     window.parts.look.change(effects=replace(PLAIN, **{setting.name: setting.table()}))
+    run(window, "press:Avatars press:Camera press:More wait wait")
+    window.on_pointer(*window.panels.places[f"{setting.name} numbers"])
+    window.on_button(0, True)
+    run(window, "wait")
+    window.on_button(0, False)
     run(window, "wait wait")
-    rows = {f"{setting.name} {inner.name}" for inner in settings_of(setting.table) if inner.type is not str}
+    texts = {inner.name for inner in settings_of(setting.table) if inner.type is str and not rule_of(inner, OneOf)}
+    rows = {f"{setting.name} {inner.name}" for inner in settings_of(setting.table) if inner.name not in texts}
     assert rows <= set(window.panels.places)
+    # with its label each ends before the panel does
+    left = window.parts.state.layout.area[0]
+    boxes = window.panels.boxes
+    assert max(boxes[name][2] for name in boxes if boxes[name][0] < left and boxes[name][1] < 500) < left - 8
 
 
 def test_a_film_has_the_picture_without_panels(window, tmp_path):
@@ -347,8 +383,33 @@ def test_the_live_panel_tells_rate_loss_and_latency(open_window, avatar):
 def test_an_effect_that_an_avatar_has_nothing_for_says_why(avatar):
     assert without_effect("secondary_motion", PLAIN, [avatar]) == NOT_LOOSE
     assert without_effect("light", PLAIN, [avatar]) == NO_LIGHT
-    assert without_effect("light", replace(PLAIN, light=Light(by="albedo")), [avatar]) == ""
+    assert without_effect("light", replace(PLAIN, light=Light(by="albedo")), [avatar]) == NO_LIGHT
+    assert without_effect("light", replace(PLAIN, light=SPOTLIGHT), [avatar]) == ""
+    even = replace(avatar, light=CaptureLight(1.0))
+    lit = replace(avatar, light=CaptureLight(0.5, (Lamp((0.0, 0.0, 1.0), 0.5),)))
+    assert without_effect("light", replace(PLAIN, light=Light()), [even]) == NO_LIGHT
+    assert without_effect("light", replace(PLAIN, light=Light()), [even, lit]) == ""
     assert without_effect("outline", PLAIN, [avatar]) == ""
+
+
+def test_an_effect_that_does_not_show_says_so_where_it_is_switched_on(window, monkeypatch):
+    said = []
+    monkeypatch.setattr(Widgets, "caption", lambda self, text: said.append(text))
+    wanted = replace(
+        PLAIN, light=Light(), motion_blur=MotionBlur(), depth_of_field=DepthOfField(), foot_lock=FootLock()
+    )
+    window.parts.look.change(effects=wanted)
+    run(window, "press:Avatars press:More wait")
+    del said[:]
+    run(window, "wait")
+    reasons = [text for text in said if text]
+    assert reasons[0] == f"{NO_LIGHT} (even light leaves none)"
+    assert reasons.count(IN_FILMS) == 2 and NOT_LOOSE in reasons and len(reasons) == 4
+    window.parts.look.change(effects=PLAIN)
+    run(window, "wait wait")
+    del said[:]
+    run(window, "wait")
+    assert [text for text in said if text] == [NOT_LOOSE]
 
 
 def test_a_paused_window_sleeps_until_something_happens(window, monkeypatch):

@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from player.film.stage import Stage, camera_from_option
 from player.scene.effects import STUDIO, Effects
 from player.scene.opened import opened_avatars
 from player.scene.scene import Scene, SceneAvatar, SceneCamera
-from player.scene.scene_file import lines_of_keys, read_scene
+from player.scene.scene_file import lines_of_keys, read_scene, write_scene
 from player.window.show import opened_show
 
 FULL = '''\
@@ -186,7 +187,38 @@ t = 2020-01-01'''
             place = place[part]
 
 
-@pytest.mark.parametrize("scene", sorted((DOCS / "scenes").glob("*.toml")), ids=lambda scene: scene.stem)
+EXAMPLES = sorted((DOCS / "scenes").glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_a_scene_that_is_written_is_read_as_it_was(path, tmp_path):
+    scene = read_scene(path)
+    write_scene(tmp_path / "again.toml", scene)
+    again = read_scene(tmp_path / "again.toml")
+    assert again.background.color == pytest.approx(scene.background.color, abs=1e-3)
+    assert replace(again, background=scene.background) == replace(scene, background=scene.background)
+
+
+def test_files_beside_a_written_scene_move_with_it_and_odd_names_stay(tiny_path, tmp_path, monkeypatch):
+    odd = 'a "quote" \\ ünï \x7f.glb'
+    for name in (odd, "counting"):
+        (tmp_path / name).write_bytes(b"there")
+    monkeypatch.chdir(tmp_path)
+    avatars = (SceneAvatar(odd, motion="./counting"), SceneAvatar(tiny_path, motion="counting", start=1e-7))
+    camera = SceneCamera("follow", eye=(0.1, 1.5, 1e-9), target=(0.0, 1.25, 0.0))
+    write_scene("a.toml", Scene(avatars, (camera,), rate=12.5, effects=Effects(outline=Outline())))
+    text = Path("a.toml").read_text("utf-8")
+    assert tiny_path in text and str(tmp_path) not in text.replace(tiny_path, "") and "[effects.outline]" in text
+    Path("moved").mkdir()
+    for name in ("a.toml", odd, "counting"):
+        Path(name).rename(Path("moved") / name)
+    again = read_scene(Path("moved") / "a.toml")
+    assert Path(again.avatars[0].path) == Path("moved") / odd
+    assert again.avatars[0].motion == str(Path("moved") / "counting")
+    assert again.avatars[1] == avatars[1] and again.cameras == (camera,) and again.rate == 12.5
+
+
+@pytest.mark.parametrize("scene", EXAMPLES, ids=lambda scene: scene.stem)
 def test_examples_can_be_filmed(tmp_path, scene):
     if any(actor.live for actor in read_scene(scene).avatars):
         return
@@ -280,7 +312,7 @@ def test_what_camera_means_is_seen_from_the_name_and_the_file(tmp_path):
         camera_from_option("none.json")
 
 
-@pytest.mark.parametrize("kind", ["front", "orbit", "turntable"])
+@pytest.mark.parametrize("kind", ["front", "follow", "orbit", "turntable"])
 def test_fitted_cameras_see_all_avatars_in_their_places_all_the_time(tiny_path, kind):
     actors = (
         SceneAvatar(tiny_path, "walking", at=(-0.8, 0.0, 0.3), turn_deg=40.0),
@@ -294,10 +326,30 @@ def test_fitted_cameras_see_all_avatars_in_their_places_all_the_time(tiny_path, 
         pelvises = np.stack([root for _, root in poses])
         pixels, depth = project(camera, pelvises)
         assert (depth > 0).all() and (pixels > 20).all() and (pixels < (280, 180)).all()
-    if kind != "front":  # one round a second, at the motion's 30 frames
+    if kind in ("orbit", "turntable"):  # one round a second, at the motion's 30 frames
         first, after = (camera_at(frame, np.zeros(3)).camera_from_world for frame in (0, 30))
         assert np.abs(first - after).max() < 1e-9
         assert np.abs(camera_at(15, np.zeros(3)).camera_from_world - first).max() > 1
+
+
+def test_a_placed_camera_stands_goes_along_and_goes_round(tiny_path):
+    eye, target, size = np.array([1.0, 1.4, 2.0]), np.array([0.0, 1.0, 0.0]), (60, 40)
+    cameras = {}
+    for kind in ("front", "follow", "orbit", "turntable"):
+        camera = SceneCamera(kind, seconds=4.0, fov_deg=20.0, eye=tuple(eye.tolist()), target=tuple(target.tolist()))
+        stage = Stage(Scene((SceneAvatar(tiny_path, "walking"),), (camera,)))
+        assert stage.fit(0, stage.frames) is None
+        at = stage.camera_at(None, 0, stage.frames, size)
+        cameras[kind] = [at(frame, stage.poses(frame)[0][1]) for frame in (0, 30)]
+        assert np.allclose(cameras[kind][0].eye, eye) and project(cameras[kind][0], target[None])[0] == pytest.approx(
+            np.array([[30.0, 20.0]])
+        )
+    walked = (stage.poses(30)[0][1] - stage.poses(0)[0][1]) * [1, 0, 1]
+    assert np.allclose(cameras["front"][1].eye, eye) and np.allclose(cameras["follow"][1].eye, eye + walked)
+    # a quarter of a round
+    quarter = target + [2.0, 0.4, -1.0]
+    assert np.allclose(cameras["turntable"][1].eye, quarter) and np.allclose(cameras["orbit"][1].eye, quarter + walked)
+    assert cameras["front"][0].K[1, 1] == pytest.approx(20 / np.tan(np.radians(10)))
 
 
 def test_levels_and_qualities_choose_what_is_drawn(tiny_path, tmp_path):

@@ -29,7 +29,7 @@ from tests.window_script import run
 
 def screenshot(avatar_path, path, script, *more, size="160x200"):
     avatars = [avatar_path] if isinstance(avatar_path, str) else avatar_path
-    arguments = [*avatars, "--platform", "null", "--no-gui", "--size", size, "--script", script]
+    arguments = [*avatars, "--no-floor", "--platform", "null", "--no-gui", "--size", size, "--script", script]
     assert play_main([*arguments, "--screenshot", str(path), *more]) == 0
     return pixels(path)
 

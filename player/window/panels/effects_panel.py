@@ -1,5 +1,5 @@
-"""What is drawn beside the avatars' colors, as the scene's dataclass lists it: a list of words, or a box to tick
-with the settings of what is ticked below it."""
+"""What is drawn beside the avatars' colors, in plain words: looks that set many effects at once, and a list of choices
+for each effect. Its numbers unfold below it, as the scene's dataclass lists them."""
 
 from dataclasses import replace
 from typing import Any, get_origin
@@ -7,44 +7,99 @@ from typing import Any, get_origin
 from imgui_bundle import imgui
 
 from command.settings import Color, OneOf, Setting, broken_rule, rule_of, settings_of
+from player.effects.background import Background
 from player.scene.effects import Effects
-from player.window.budgeted import NO_LIGHT, without_effect
+from player.window.budgeted import without_effect
+from player.window.looks import LOOKS, choices_of, label_of
 from player.window.panels.widgets import Widgets
 from player.window.parts import WindowParts
 
-# shorter than the field's own name
-LABELS = {"antialiasing": "edges"}
+# those that a small window shows without more ado
+FIRST = ("light", "ground", "contact", "antialiasing", "outline")
+IN_FILMS = "shows in films of `selfscan render`, not here"
+# settings of a background that the window changes, by its kind
+BEHIND = {"color": ("color",), "image": ("fit", "color"), "video": ("fit", "color"), "hdr": ("exposure", "turn_deg")}
 
 
-def effects_panel(ui: Widgets, parts: WindowParts) -> None:
-    """What is not chosen is in no plan: each change makes and frees just what it has to."""
-    effects = parts.look.effects
-    for setting in settings_of(Effects):
-        value = setting.value_in(effects)
-        price = parts.prices.words(setting.name, effects)
-        if setting.table is None:
-            chosen = _setting(ui, setting, value, setting.name)
-            ui.note(price)
-        else:
-            why = without_effect(setting.name, effects, parts.state.avatars)
-            # one that is on can always be taken off
-            imgui.begin_disabled(bool(why) and value is None and setting.name != "light")
-            on = ui.checkbox(setting.name, value is not None, f"{setting.means}.", name=setting.name, grey=bool(why))
-            imgui.end_disabled()
-            ui.note(why or price)
-            # a light that would change nothing begins with lamps
-            begins = {"by": "lamps"} if why == NO_LIGHT else {}
-            chosen = None if on == (value is not None) else setting.table(**begins) if on else _OFF
-            if on and value is not None:
-                chosen = _changed(ui, setting, value)
-        if chosen is not None:
-            parts.look.change(effects=replace(effects, **{setting.name: None if chosen is _OFF else chosen}))
+def looks_panel(ui: Widgets, parts: WindowParts) -> None:
+    """A button for each look."""
+    look = parts.look
+    for number, (name, one) in enumerate(LOOKS.items()):
+        effects, background = one.of(look.effects, look.background)
+        on = (effects, background) == (look.effects, look.background)
+        if ui.button(name, one.means, beside=number > 0, on=on):
+            look.change(effects=effects, background=background)
+
+
+def effects_panel(ui: Widgets, parts: WindowParts, *, first: bool) -> None:
+    """The effects that are chosen first, or all others. What is not chosen is in no plan: each change makes and frees
+    just what it has to."""
+    known = {setting.name: setting for setting in settings_of(Effects)}
+    for name in FIRST if first else [name for name in known if name not in FIRST]:
+        _effect(ui, parts, known[name])
+
+
+def background_panel(ui: Widgets, parts: WindowParts) -> None:
+    """What is behind everyone."""
+    background = parts.look.background
+    unfolded = False
+    if background.kind != "color":
+        unfolded = ui.triangle("background numbers", "How the background lies and how bright it is.")
+        ui.path("behind: ", background.path or background.kind)
+    for setting in settings_of(Background):
+        if setting.name in BEHIND.get(background.kind, ()) and (unfolded or background.kind == "color"):
+            label = "background" if background.kind == "color" else label_of(setting)
+            chosen = _number(ui, setting, setting.value_in(background), label, f"background {setting.name}")
+            if chosen is not None:
+                parts.look.change(background=replace(background, **{setting.name: chosen}))
+
+
+def _effect(ui: Widgets, parts: WindowParts, setting: Setting) -> None:
+    """A list of choices; below it, unfolded, numbers, then why it cannot show, and what it costs."""
+    effects, name = parts.look.effects, setting.name
+    value, why = setting.value_in(effects), reason(parts, setting.name)
+    words, values, chosen = choices_of(setting, value)
+    unfolded = False
+    if setting.table is not None and value is not None:
+        unfolded = ui.triangle(f"{name} numbers", f"The numbers of {label_of(setting)}.")
+    else:
+        ui.no_triangle()
+    # one that is on can always be taken off
+    imgui.begin_disabled(bool(why) and value is None)
+    picked = ui.choice(label_of(setting), chosen, words, f"{setting.means[0].upper()}{setting.means[1:]}.", name=name)
+    imgui.end_disabled()
+    changed = value if picked is None else values[picked]
+    if unfolded:
+        imgui.indent()
+        changed = _changed(ui, setting, value) or changed
+        imgui.unindent()
+    ui.caption("; ".join(text for text in (why, parts.prices.words(name, effects)) if text))
+    if changed != value:
+        parts.look.change(effects=replace(effects, **{name: changed}))
+
+
+def reason(parts: WindowParts, name: str) -> str:
+    """Why an effect that is on does not show, or one that is off would not; empty where it does."""
+    effects, playback = parts.look.effects, parts.state.playback
+    on = next(setting.value_in(effects) for setting in settings_of(Effects) if setting.name == name)
+    why = without_effect(name, effects, parts.state.avatars)
+    if why and name != "light":
+        return why
+    if why and on is not None:
+        return f"{why} (even light leaves none)"
+    if name in ("motion_blur", "depth_of_field") and on is not None:
+        return IN_FILMS
+    if name == "foot_lock" and on is not None and all(track.motion.frames < 2 for track in playback.tracks):
+        return "no motion has more than one frame"
+    if name == "view" and on != "off" and not parts.look.renderer.has_view:
+        return "matte: the file has no shine"
+    return ""
 
 
 def _changed(ui: Widgets, effect: Setting, value: Any) -> Any | None:
     """The settings of an effect with what was changed in its rows."""
     for setting in settings_of(effect.table):
-        chosen = _setting(ui, setting, setting.value_in(value), f"{effect.name} {setting.name}")
+        chosen = _number(ui, setting, setting.value_in(value), label_of(setting), f"{effect.name} {setting.name}")
         if chosen is not None and broken_rule(setting, chosen) is None:
             try:
                 return replace(value, **{setting.name: chosen})
@@ -54,20 +109,20 @@ def _changed(ui: Widgets, effect: Setting, value: Any) -> Any | None:
     return None
 
 
-def _setting(ui: Widgets, setting: Setting, value: Any, name: str) -> Any | None:
+def _number(ui: Widgets, setting: Setting, value: Any, label: str, name: str) -> Any | None:
     """A row for a setting; its new value."""
     known, tip = rule_of(setting, OneOf), f"{setting.means}."
-    label = LABELS.get(name, name)
     if known is not None:
         words = [word.replace("_", " ") for word in known.values]
         chosen = ui.choice(label, known.values.index(value), words, tip, name=name)
         return None if chosen is None else known.values[chosen]
     if rule_of(setting, Color) is not None:
-        color = ui.color(label, value[:3], tip)
+        color = ui.color(label, value[:3], tip, name=name)
         return None if color is None else (*color, 1.0)
     if setting.type is str:
-        # files are named in the scene
-        ui.path(label, value or "")
+        # files are dropped on the window, or named in the scene
+        if value:
+            ui.path(f"{label}: ", value)
         return None
     if get_origin(setting.type) is tuple:
         numbers = ui.numbers(label, value, tip, name=name)
@@ -75,6 +130,3 @@ def _setting(ui: Widgets, setting: Setting, value: Any, name: str) -> Any | None
     assert setting.type in (int, float), f"no widget for {name}"
     number = ui.number(label, float(value), tip, name=name)
     return None if number is None else setting.type(number)
-
-
-_OFF = object()

@@ -15,16 +15,26 @@ from imgui_bundle import imgui
 
 from player.window.panels.draw import DrawLists
 from player.window.panels.hud_panel import hud_panel, joint_mark, key_list, status_line
+from player.window.panels.open_panel import open_panel
 from player.window.panels.pose_overlay import pose_overlay, rings
 from player.window.panels.pose_panel import PosePanels
-from player.window.panels.side_panels import avatars_panel, camera_panel, live_panel, view_panel
+from player.window.panels.side_panels import (
+    avatars_panel,
+    camera_panel,
+    files_panel,
+    live_panel,
+    look_panel,
+    more_panel,
+)
 from player.window.panels.timeline_panel import timeline_panel
-from player.window.panels.widgets import Widgets
+from player.window.panels.widgets import Box, Widgets
 from player.window.parts import WindowParts
 from player.window.screen import LETTER, density
 
 # width and height of the panels, in letters' heights
-SIDE, BOTTOM = 19.0, 4.5
+SIDE, BOTTOM = 20.5, 4.5
+# letters' heights of a label beside its widget
+LABEL = 8.0
 # letters' heights that the picture must keep, else there are no panels
 LEAST = 12.0
 FIXED = (
@@ -74,7 +84,12 @@ class Panels:
     @property
     def places(self) -> dict[str, tuple[float, float]]:
         """Middle of each widget of the last frame, window units, by its name."""
-        return self._ui.places
+        return {name: (0.5 * (x0 + x1), 0.5 * (y0 + y1)) for name, (x0, y0, x1, y1) in self._ui.boxes.items()}
+
+    @property
+    def boxes(self) -> dict[str, Box]:
+        """Left, top, right and bottom of each, with its label."""
+        return self._ui.boxes
 
     @property
     def tips(self) -> dict[str, str]:
@@ -173,6 +188,8 @@ class Panels:
             status_line(self._parts)
         if self._layout.help_on:
             key_list(self._parts)
+        if self._parts.opening.listed:
+            open_panel(self._ui, self._parts)
         self._ui.end()
         imgui.render()
         self._lists.draw(imgui.get_draw_data(), screen, size)
@@ -193,8 +210,10 @@ class Panels:
         ui, parts = self._ui, self._parts
 
         def left() -> None:
+            files_panel(ui, parts)
             for title, tip, draw in self._sections():
-                if ui.section(title, tip):
+                # what few look for is folded at first
+                if ui.section(title, tip, opened=title != "More"):
                     draw()
 
         self._panel("left", (0.0, 0.0, side, high - bottom), left)
@@ -210,7 +229,8 @@ class Panels:
             ("Avatars", "Which avatars there are, and where they stand.", lambda: avatars_panel(ui, parts)),
             *([live] if playback.live else []),
             ("Camera", "What the picture is seen through.", lambda: camera_panel(ui, parts)),
-            ("View", "How the avatars are drawn.", lambda: view_panel(ui, parts)),
+            ("Look", "Light, floor and what is behind.", lambda: look_panel(ui, parts)),
+            ("More", "How it is drawn, and what that costs.", lambda: more_panel(ui, parts)),
         ]
 
     def _panel(self, name: str, place: tuple[float, float, float, float], draw: Callable[[], None]) -> None:
@@ -219,7 +239,7 @@ class Panels:
         imgui.set_next_window_pos(imgui.ImVec2(left, top))
         imgui.set_next_window_size(imgui.ImVec2(width, max(height, 1.0)))
         if imgui.begin(f"##{name}", None, FIXED | imgui.WindowFlags_.no_title_bar)[0]:
-            imgui.push_item_width(-7.0 * LETTER * self._scale)
+            imgui.push_item_width(-LABEL * LETTER * self._scale)
             draw()
             imgui.pop_item_width()
         imgui.end()

@@ -1,15 +1,14 @@
 """The panels on the left: avatars, live sources, the camera, and how it is drawn (effects: effects_panel.py)."""
 
-from dataclasses import replace
-
 import numpy as np
 from imgui_bundle import imgui
 
 from command.progress import plural
 from player.live.latency import SPANS
 from player.live.playback import LivePlayback
+from player.scene.track import Track
 from player.window import actions
-from player.window.panels.effects_panel import effects_panel
+from player.window.panels.effects_panel import background_panel, effects_panel, looks_panel
 from player.window.panels.widgets import Widgets, tip_of
 from player.window.parts import WindowParts
 from player.window.playback import Playback
@@ -27,6 +26,13 @@ def avatars_panel(ui: Widgets, parts: WindowParts) -> None:
             selection.choose(index)
     track = parts.state.playback.tracks[selection.avatar]
     ui.path("motion: ", track.name or "its own")
+    ui.fold("place and start", "Its place, its turn, and where its motion begins.", lambda: _place(ui, track))
+    ui.action("Pose by hand" if posing.edit is None else "Stop posing", actions.POSE, parts, name="pose")
+    joint = selection.joint
+    imgui.text_disabled(f"joint: {joint_name(joint)}" if joint is not None else "click the avatar to pick a joint")
+
+
+def _place(ui: Widgets, track: Track) -> None:
     tip = "Where the avatar stands, metres: x, y (up) and z. Drag, or Ctrl+click to type."
     at = ui.numbers("place, m", track.at.tolist(), tip, name="place")
     if at is not None:
@@ -39,9 +45,6 @@ def avatars_panel(ui: Widgets, parts: WindowParts) -> None:
         span = (0.0, track.motion.frames / track.motion.rate)
         start = ui.slider("start, s", track.start, span, tip, name="start at", form="%.2f")
         track.start = track.start if start is None else start
-    ui.action("Pose by hand" if posing.edit is None else "Stop posing", actions.POSE, parts, name="pose")
-    joint = selection.joint
-    imgui.text_disabled(f"joint: {joint_name(joint)}" if joint is not None else "click the avatar to pick a joint")
 
 
 def live_panel(ui: Widgets, playback: Playback) -> None:
@@ -89,14 +92,15 @@ def camera_panel(ui: Widgets, parts: WindowParts) -> None:
     chosen = ui.choice("camera", kinds.index(cameras.kind), kinds, tip)
     if chosen is not None:
         cameras.kind = kinds[chosen]
+    ui.action("Whole", actions.RESET_CAMERA, parts, name="reset camera")
+    ui.action("Face", actions.FACE, parts, beside=True)
+    ui.action("Left hand", actions.LEFT_HAND, parts, beside=True)
+    ui.action("Right hand", actions.RIGHT_HAND, parts, beside=True)
     if cameras.kind in ("orbit", "turntable"):
-        ui.action("Reset", actions.RESET_CAMERA, parts, name="reset camera")
-        viewpoint.follow = ui.checkbox(
-            "follow the avatar", viewpoint.follow, tip_of(actions.FOLLOW), name="follow", beside=True
-        )
+        viewpoint.follow = ui.checkbox("follow", viewpoint.follow, tip_of(actions.FOLLOW))
     if parts.wipe is not None and viewpoint.shows_video:
         _wipe(ui, parts.wipe, viewpoint)
-    ui.action("Add camera key", actions.ADD_CAMERA_KEY, parts, name="add key")
+    ui.action("Add camera key", actions.ADD_CAMERA_KEY, parts, name="add key", beside=True)
     if cameras.keys:
         ui.action("Save path", actions.SAVE_CAMERA_PATH, parts, beside=True)
         if ui.button("Clear", "Forget the recorded keys.", name="clear keys", beside=True):
@@ -115,23 +119,31 @@ def _wipe(ui: Widgets, wipe: Wipe, viewpoint: Viewpoint) -> None:
     imgui.text_disabled(f"{wipe.capture.part} video, picture {viewpoint.video_frame}")
 
 
-def view_panel(ui: Widgets, parts: WindowParts) -> None:
-    """Choices that change the plan make a new renderer, so nothing that is not chosen is ever run."""
-    look = parts.look
-    # above the effects, of which there are more than a small window shows
+def files_panel(ui: Widgets, parts: WindowParts) -> None:
+    """What is opened and kept."""
     film = parts.recorder.film
-    ui.action("Screenshot", actions.SCREENSHOT, parts)
+    ui.action("Open", actions.OPEN, parts)
+    ui.action("Save scene", actions.SAVE_SCENE, parts, beside=True)
+    ui.action("Picture", actions.SCREENSHOT, parts, name="screenshot", beside=True)
     ui.action("Stop film" if film else "Film", actions.FILM, parts, name="film", beside=True)
-    tip = "Milliseconds that each effect adds to a frame now, beside it; timing them takes a moment."
-    if ui.button("Prices", tip, name="prices", beside=True):
+
+
+def look_panel(ui: Widgets, parts: WindowParts) -> None:
+    """Looks, and what they set."""
+    looks_panel(ui, parts)
+    effects_panel(ui, parts, first=True)
+    background_panel(ui, parts)
+
+
+def more_panel(ui: Widgets, parts: WindowParts) -> None:
+    """The other effects, level of detail, and prices."""
+    look, tip = parts.look, "Milliseconds that each effect adds to a frame now, below it; timing them takes a moment."
+    if ui.button("Prices of effects", tip, name="prices"):
         parts.prices.ask()
-    if film is not None:
-        imgui.same_line()
-        imgui.text(plural(film.frames, "frame"))
-    effects_panel(ui, parts)
+    effects_panel(ui, parts, first=False)
     if look.renderer.has_view:
         tip = "How much of the view dependence is shown. 0 is the paper."
-        amount = ui.slider("amount", look.renderer.view_amount, (0.0, 1.0), tip, form="%.2f")
+        amount = ui.slider("shine amount", look.renderer.view_amount, (0.0, 1.0), tip, form="%.2f")
         look.renderer.view_amount = look.renderer.view_amount if amount is None else amount
     levels = max(len(avatar.levels) for avatar in parts.state.avatars)
     if levels > 1:
@@ -140,8 +152,3 @@ def view_panel(ui: Widgets, parts: WindowParts) -> None:
         chosen = ui.choice("detail", min(look.level, levels - 1), names, "Level of detail: fewer triangles are faster.")
         if chosen is not None:
             look.change(level=chosen)
-    if look.background.kind == "color":
-        color = ui.color("background", look.background.color[:3], "Colour behind the avatars; click the patch.")
-        if color is not None:
-            red, green, blue = color
-            look.change(background=replace(look.background, color=(red, green, blue, 1.0)))

@@ -28,7 +28,11 @@ def timeline_panel(ui: Widgets, parts: WindowParts) -> None:
     if line.frames == 1 and parts.posing.edit is None:
         imgui.text("live" if parts.state.playback.live else "one pose")
         return
-    imgui.text(f"frame {line.frame} of {line.frames}   {line.seconds:.2f} s of {line.duration:.2f} s")
+    text, short = (
+        f"frame {line.frame} of {line.frames}   {line.seconds:.2f} s of {line.duration:.2f} s",
+        f"{line.seconds:.2f} s",
+    )
+    imgui.text(text if imgui.calc_text_size(text).x < imgui.get_content_region_avail().x else short)
     _scrubber(ui, parts)
 
 

@@ -13,6 +13,7 @@ from player.window.actions import Action
 from player.window.parts import WindowParts
 
 Span = tuple[float, float]
+Box = tuple[float, float, float, float]
 # letters' heights at which a tooltip's line ends
 TIP_WIDTH = 22.0
 
@@ -21,11 +22,13 @@ class Widgets:
     """The widgets of one window, and where those of the last frame were."""
 
     def __init__(self):
-        # middle of each widget of the last frame, window units, and its tooltip
-        self.places: dict[str, tuple[float, float]] = {}
+        # left, top, right and bottom of each widget of the last frame with its label, window units, and its tooltip
+        self.boxes: dict[str, Box] = {}
         self.tips: dict[str, str] = {}
-        self._placing: dict[str, tuple[float, float]] = {}
+        self._placing: dict[str, Box] = {}
         self._tipping: dict[str, str] = {}
+        # triangles that show what is under them
+        self._unfolded: set[str] = set()
 
     def begin(self) -> None:
         """A frame begins."""
@@ -33,12 +36,12 @@ class Widgets:
 
     def end(self) -> None:
         """The frame is complete: scripts find what it has."""
-        self.places, self.tips = self._placing, self._tipping
+        self.boxes, self.tips = self._placing, self._tipping
 
     def _done(self, name: str, tip: str) -> None:
         """The last widget is `name`; `tip` is shown while the pointer rests on it."""
         low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-        self._placing[name] = (0.5 * (low.x + high.x), 0.5 * (low.y + high.y))
+        self._placing[name] = (low.x, low.y, high.x, high.y)
         self._tipping[name] = tip
         if tip and imgui.begin_item_tooltip():
             imgui.push_text_wrap_pos(TIP_WIDTH * imgui.get_font_size())
@@ -48,11 +51,16 @@ class Widgets:
 
     # -- buttons
 
-    def button(self, text: str, tip: str, *, name: str = "", beside: bool = False, width: float = 0.0) -> bool:
-        """Whether it was pressed. `beside` keeps it on the line, where it fits."""
+    def button(
+        self, text: str, tip: str, *, name: str = "", beside: bool = False, width: float = 0.0, on: bool = False
+    ) -> bool:
+        """Whether it was pressed. `beside` keeps it on the line, where it fits; `on` is what is chosen now."""
         if beside:
             _stay_on_line(text, width)
+        color = imgui.Col_.button_active if on else imgui.Col_.button
+        imgui.push_style_color(imgui.Col_.button, imgui.get_style().color_(color))
         pressed = imgui.button(f"{text}##{name}", imgui.ImVec2(width, 0))
+        imgui.pop_style_color()
         self._done(name or text.lower(), tip)
         return pressed
 
@@ -84,7 +92,7 @@ class Widgets:
         """One of a short list."""
         if width is not None:
             imgui.set_next_item_width(width)
-        changed, chosen = imgui.combo(label, chosen, list(known))
+        changed, chosen = imgui.combo(f"{label}##{name}", chosen, list(known))
         self._done(name or label, tip)
         return chosen if changed else None
 
@@ -104,19 +112,19 @@ class Widgets:
 
     def numbers(self, label: str, values: Sequence[float], tip: str, *, name: str) -> list[float] | None:
         """Three numbers that are dragged or typed."""
-        changed, values = imgui.drag_float3(label, [float(v) for v in values], 0.01, -100.0, 100.0, "%.2f")
+        changed, values = imgui.drag_float3(f"{label}##{name}", [float(v) for v in values], 0.01, -100.0, 100.0, "%.2f")
         self._done(name, tip)
         return values if changed else None
 
     def number(self, label: str, value: float, tip: str, *, name: str) -> float | None:
         """A number to type, or to step by one or by five."""
-        changed, value = imgui.input_float(label, value, 1.0, 5.0, "%.2f")
+        changed, value = imgui.input_float(f"{label}##{name}", value, 1.0, 5.0, "%.2f")
         self._done(name, tip)
         return value if changed else None
 
-    def color(self, label: str, color: Sequence[float], tip: str) -> list[float] | None:
-        changed, color = imgui.color_edit3(label, list(color))
-        self._done(label, tip)
+    def color(self, label: str, color: Sequence[float], tip: str, *, name: str = "") -> list[float] | None:
+        changed, color = imgui.color_edit3(f"{label}##{name}", list(color))
+        self._done(name or label, tip)
         return color if changed else None
 
     def field(self, label: str, text: str, tip: str, *, hint: str = "") -> str:
@@ -142,11 +150,26 @@ class Widgets:
             imgui.end_combo()
         self._done(name, tip)
 
-    def section(self, title: str, tip: str) -> bool:
-        """A heading that folds what is under it; whether that is to be drawn."""
-        opened = imgui.collapsing_header(title, imgui.TreeNodeFlags_.default_open)
+    def section(self, title: str, tip: str, *, opened: bool = True) -> bool:
+        """A heading that folds what is under it, at first `opened`; whether that is to be drawn."""
+        opened = imgui.collapsing_header(title, imgui.TreeNodeFlags_.default_open if opened else 0)
         self._done(title, tip)
         return opened
+
+    def triangle(self, name: str, tip: str) -> bool:
+        """Before the next widget of the line: shows or hides what is under it; whether that is to be drawn."""
+        imgui.push_style_color(imgui.Col_.button, imgui.ImVec4(0, 0, 0, 0))
+        if imgui.arrow_button(f"##{name}", imgui.Dir.down if name in self._unfolded else imgui.Dir.right):
+            self._unfolded ^= {name}
+        imgui.pop_style_color()
+        self._done(name, tip)
+        imgui.same_line(0, imgui.get_style().item_inner_spacing.x)
+        return name in self._unfolded
+
+    def no_triangle(self) -> None:
+        """The room of one, so that lists without numbers stand below those with them."""
+        imgui.dummy(imgui.ImVec2(imgui.get_frame_height(), imgui.get_frame_height()))
+        imgui.same_line(0, imgui.get_style().item_inner_spacing.x)
 
     def fold(self, title: str, tip: str, rows: Callable[[], None]) -> None:
         """What is drawn only when it is unfolded."""
@@ -158,11 +181,14 @@ class Widgets:
 
     # -- text
 
-    def note(self, text: str) -> None:
-        """A few words beside the last widget; none where there are no words."""
+    def caption(self, text: str) -> None:
+        """A few words under the last widget, as many lines as they need; none where there are no words."""
         if text:
-            imgui.same_line()
-            imgui.text_disabled(text)
+            imgui.push_style_color(imgui.Col_.text, imgui.get_style().color_(imgui.Col_.text_disabled))
+            imgui.indent(imgui.get_frame_height())
+            imgui.text_wrapped(text)
+            imgui.unindent(imgui.get_frame_height())
+            imgui.pop_style_color()
 
     def path(self, label: str, path: str) -> None:
         """A file of which as much is shown as fits, its name first; the whole in the tooltip."""

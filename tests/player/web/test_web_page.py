@@ -9,9 +9,10 @@ from browser_page import browser_page
 from chromium import chromium
 from interchange.test_export import decibels, painted
 
-from avatar.camera import orbit_camera
+from avatar.camera import orbit_camera, project
 from avatar.motion.clip import Motion
 from player.budget.rung import Rung
+from player.draw.posing import posed_vertices
 from player.gl.context import open_context
 from player.scene.effects import STUDIO
 from player.scene.renderer import Renderer
@@ -156,6 +157,25 @@ def test_keys_and_fingers_move_it(page):
                  touchPoints=[{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(points)])  # fmt: skip
     tab.wait(f"selfscan.camera.distance < {0.6 * before['distance']}")
     assert tab.ask("selfscan.camera.azimuth") == pytest.approx(before["azimuth"])
+
+
+@pytest.mark.parametrize("size", [(390, 844), (320, 568), (844, 390)])
+def test_on_a_phone_the_whole_person_is_in_sight_in_most_of_the_screen(page, size):
+    tab, path, avatar, poses = page
+    tab.call("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=2, mobile=True)
+    tab.open(path, "play=0")
+    shown, camera = tab.ask("[selfscan.canvas.clientWidth, selfscan.canvas.clientHeight]"), tab.ask("selfscan.camera")
+    tab.call("Emulation.clearDeviceMetricsOverride")
+    assert shown[0] == size[0] and shown[1] > 0.7 * size[1]
+    view = [camera[name] for name in ("target", "distance", "azimuth", "elevation")]
+    seen = [
+        project(orbit_camera(*view, tuple(shown), camera["fov"]), posed_vertices(avatar, avatar.levels[0], pose))[0]
+        for pose in poses
+    ]
+    margins = np.concatenate(seen) / shown
+    assert margins.min() > 0.04 and margins.max() < 0.96
+    # as near as that allows
+    assert np.ptp(margins, axis=0).max() > 0.8
 
 
 def test_a_lost_context_comes_back(page):

@@ -1,0 +1,181 @@
+"""Files that are opened while the window runs: dropped on it, or chosen from its list.
+
+An avatar takes the place of the selected one, a motion moves it, films, pictures and panoramas go behind everyone. A
+scene replaces all that is shown (player/window/window.py). A file that cannot be read is named in one line, and what
+was shown stays.
+"""
+
+import os
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from avatar.gltf.avatar_write import EXTENSION
+from avatar.gltf.document import read_gltf
+from avatar.motion.read import BUILTIN_MOTIONS, READERS
+from command.errors import AssetError
+from files.input_file import name_order
+from player.effects.background import Background
+from player.effects.ground import Ground
+from player.effects.light import Light
+from player.scene.arguments import PICTURES
+from player.scene.opened import opened_avatar, opened_track
+from player.scene.scene import BUILTIN_AVATARS, Scene, SceneAvatar
+from player.window.recent import read_recent
+from player.window.show import Show
+
+if TYPE_CHECKING:
+    from player.window.parts import WindowParts
+
+GLTF = (".glb", ".gltf", ".vrm", ".vrma")
+FILMS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+# what a background is called in scenes
+BACKGROUNDS = {"panorama": "hdr", "picture": "image", "film": "video"}
+KINDS = dict.fromkeys([suffix for reader in READERS for suffix in reader.suffixes if suffix[0] == "."], "motion")
+KINDS |= {".toml": "scene", ".hdr": "panorama", ".glb": "avatar"}
+KINDS |= dict.fromkeys(PICTURES, "picture") | dict.fromkeys(FILMS, "film")
+
+
+class Opening:
+    """What was opened, what is to be, and the list to choose from."""
+
+    def __init__(self, show: Show):
+        self.show, self.scene = show, show.scene
+        # files to be opened before the next frame
+        self.asked: list[str] = []
+        self.folder = Path.cwd()
+        # whether the list is shown, and what is on it
+        self.listed = False
+        self.recent: list[str] = []
+        self.files: list[tuple[Path, str]] = []
+
+    def toggle(self) -> None:
+        """Show the list or hide it."""
+        self.listed = not self.listed
+        if self.listed:
+            self.go(self.folder)
+
+    def go(self, folder: Path) -> None:
+        """List another folder: its folders, then what can be opened."""
+        self.folder, self.recent, names = folder, read_recent(), list[str]()
+        # one that may not be looked into shows nothing
+        with suppress(AssetError):
+            names = folder_names(folder)
+        paths = [folder / name for name in names if not name.startswith(".")]
+        found = [(path, "folder" if path.is_dir() else KINDS.get(path.suffix.lower(), "")) for path in paths]
+        found.sort(key=lambda one: (one[1] != "folder", name_order(one[0].name)))
+        self.files = [(path, kind) for path, kind in found if kind]
+
+    def ask(self, path: str) -> None:
+        """Open a file before the next frame, and hide the list."""
+        self.asked.append(path)
+        self.listed = False
+
+    def with_avatar(self, index: int, entry: SceneAvatar) -> Scene:
+        """The scene with another avatar, or one that moves otherwise."""
+        before = self.scene.avatars
+        return replace(self.scene, avatars=(*before[:index], entry, *before[index + 1 :]))
+
+
+def folder_names(folder: Path) -> list[str]:
+    """What is in a folder; AssetError: it may not be looked into."""
+    try:
+        return os.listdir(folder)
+    except OSError as error:
+        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
+
+
+def kind_of(path: str) -> str:
+    """What a file or folder is to the window: avatar, motion, scene, panorama, picture or film.
+
+    Raises:
+        AssetError: it is not there, or nothing that can be opened.
+    """
+    if path in BUILTIN_AVATARS:
+        return "avatar"
+    if path in BUILTIN_MOTIONS:
+        return "motion"
+    place = Path(path)
+    if place.is_dir():
+        pictures = any(Path(name).suffix.lower() in PICTURES for name in folder_names(place))
+        return "film" if pictures else "motion"
+    suffix = place.suffix.lower()
+    if suffix in GLTF and place.exists():
+        gltf = read_gltf(place)
+        own = EXTENSION in gltf.extensions(gltf.json, "glTF")
+        return "avatar" if own or not gltf.json.get("animations") else "motion"
+    if suffix not in KINDS:
+        expected = "an avatar, a motion, a scene, a panorama, a picture or a film"
+        raise AssetError(f"{path}: expected {expected}, found {suffix or 'a file without an ending'}")
+    return KINDS[suffix]
+
+
+def open_file(parts: "WindowParts", path: str) -> bool:
+    """Open what is no scene; whether it is shown.
+
+    Raises:
+        AssetError: it cannot be read, or cannot be shown now.
+    """
+    kind = kind_of(path)
+    if kind in BACKGROUNDS:
+        return _put_behind(parts, kind, path)
+    # a pose made by hand would be lost
+    if not parts.posing.may_leave():
+        return False
+    index = parts.state.selection.avatar
+    entry = parts.opening.scene.avatars[index]
+    done = put_avatar(parts, index, replace(entry, path=path)) if kind == "avatar" else _put_motion(parts, index, path)
+    if done:
+        parts.posing.edit = None
+        parts.opening.show.fit_orbit(parts.state.layout.area[2:])
+    return done
+
+
+def put_avatar(parts: "WindowParts", index: int, entry: SceneAvatar) -> bool:
+    """An avatar in the place of another one; camera, time, place and motion stay. Whether it can be drawn.
+
+    Raises:
+        AssetError: its file or its motion cannot be read.
+    """
+    state, scene = parts.state, parts.opening.with_avatar(index, entry)
+    avatar = opened_avatar(entry.path)
+    track = opened_track(scene, index, avatar, parts.viewpoint.capture)
+    before = state.avatars[index], state.playback.tracks[index]
+    track.start, track.at, track.turn = before[1].start, before[1].at, before[1].turn
+    state.avatars[index], state.playback.tracks[index] = avatar, track
+    if not parts.look.renew():
+        state.avatars[index], state.playback.tracks[index] = before
+        return False
+    state.selection.names[index] = Path(entry.path).stem
+    parts.opening.scene = scene
+    return True
+
+
+def _put_motion(parts: "WindowParts", index: int, path: str) -> bool:
+    """Another motion for an avatar, from its beginning."""
+    state, opening = parts.state, parts.opening
+    if any(index in posed for _, posed in state.playback.live):
+        raise AssetError(f"{path}: {state.selection.names[index]} is posed live, not by a motion")
+    scene = opening.with_avatar(index, replace(opening.scene.avatars[index], motion=path, start=0.0))
+    track = opened_track(scene, index, state.avatars[index], None)
+    # a motion whose poses cannot be read is said before it is shown
+    track.pose(0.0)
+    state.playback.change(index, track)
+    opening.scene = scene
+    parts.viewpoint.begin()
+    for note in track.motion.notes:
+        print(note)
+    return True
+
+
+def _put_behind(parts: "WindowParts", kind: str, path: str) -> bool:
+    """A background. A floor would hide half of it, its shadow does not; a panorama lights people too."""
+    if parts.wipe is not None:
+        raise AssetError(f"{path}: the video of the capture is behind the avatar")
+    effects = parts.look.effects
+    if effects.ground is not None:
+        effects = replace(effects, ground=Ground(kind="shadow"))
+    if kind == "panorama":
+        effects = replace(effects, light=Light(by="panorama"))
+    return parts.look.change(effects=effects, background=Background(BACKGROUNDS[kind], path=path))
