@@ -1,0 +1,174 @@
+"""The person under the clothes: the free body shaped and scaled, its skin and eyes colored from the built-in people.
+
+The painted face and hands of the built-in man and woman lie in the texture coordinates of the body that all shapes
+share, so they fit every shape; their color is that of another skin in proportion, and their hair is painted over.
+"""
+
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+from PIL import Image
+from scipy.interpolate import LinearNDInterpolator
+
+from avatar.body import Body, builtin_body, shaped
+from avatar.skinning import dense_weights
+from capture.template.eyes import fit_sphere, socket_spheres
+from geometry.mesh import component_labels, neighbour_matrix, vertex_normals
+from synth.people.cloth import Picture
+from synth.people.looks import Looks, rgb
+from synth.people.mesh import Piece, smoothstep
+from synth.subject import SynthSubject, read_subject
+
+BODY, HEAD, EYEBALL = range(3)  # pictures of the built-in people
+# what their painted skin is in the plain
+PAINTED = {"male": (222, 172, 143), "female": (232, 188, 164)}
+SIZE = 1024
+# in the head's picture: across from its middle line, and how far down hair grows there
+HAIRLINE = np.array([(0, 0.21), (0.30, 0.22), (0.335, 0.245), (0.35, 0.36), (0.362, 0.27), (0.385, 0.275), (0.41, 0.46),
+                     (0.43, 0.53), (0.5, 0.55)])  # fmt: skip
+# over what of it the built-in people's hair is painted, and a little more
+PAINTED_HAIR = np.array([(0, 0.24), (0.32, 0.26), (0.34, 0.30), (0.35, 0.48), (0.365, 0.48), (0.375, 0.31), (0.395, 0.32),
+                         (0.40, 0.54), (0.42, 0.64), (0.44, 0.68), (0.5, 0.68)])  # fmt: skip
+METRES = 0.33  # of a head by the height of its picture
+# metres of fat over the parts that a joint moves, on the heaviest person
+FLESH = {0: 0.035, 3: 0.055, 6: 0.04, 9: 0.022, 1: 0.03, 2: 0.03, 4: 0.012, 5: 0.012, 12: 0.012, 13: 0.015, 14: 0.015,
+         16: 0.018, 17: 0.018, 18: 0.008, 19: 0.008}  # fmt: skip
+
+
+def figure(looks: Looks) -> Body:
+    """The free body in the person's shape and height."""
+    body = shaped(builtin_body(looks.sex), np.array(looks.betas))
+    flesh = dense_weights(body.skin)[:, list(FLESH)] @ np.array(list(FLESH.values()))
+    calm = body.vertices
+    mean = neighbour_matrix(body.faces, len(calm))
+    for _ in range(40):
+        calm = 0.5 * calm + 0.5 * (mean @ calm) / np.asarray(mean.sum(1))
+    outward = looks.heavy * flesh[:, None] * vertex_normals(calm, body.faces)
+    body = replace(body, vertices=body.vertices + outward)
+    scale = looks.stature / np.ptp(body.vertices[:, 1])
+    return replace(body, vertices=scale * body.vertices, joints=scale * body.joints)
+
+
+def built_in(sex: str) -> SynthSubject:
+    """The stored man or woman, painted by experiments/builtin."""
+    return read_subject(Path(str(files("synth") / "data" / f"builtin_{sex}.glb")))
+
+
+def body_atlas(
+    uv: Float[Array, "faces 3 2"], island: Int[Array, "faces"], on_head: Bool[Array, "faces"]
+) -> tuple[Int[Array, "faces"], Float[Array, "faces 3 2"]]:
+    """Picture (BODY or HEAD) and place in it of the free body's faces, from their own texture coordinates and islands.
+
+    Face and hands are enlarged. The maps are monotone in u and in v, so islands that did not overlap still do not.
+    """
+    middle = uv.mean(1)
+    head = island == island[np.argmin(np.hypot(*(middle - [0.863, 0.5165]).T))]
+    # the insides of mouth and eye sockets; the tip of the left middle finger lies beside one of them
+    inner = (middle[:, 0] < 0.16) & (middle[:, 1] > 0.365) & (middle[:, 1] < 0.455)
+    inner |= (middle[:, 0] > 0.755) & (middle[:, 1] > 0.86) & ~head
+    inner &= on_head
+    u, v = uv[..., 0], uv[..., 1]
+    on_body = np.stack([u / 0.765, np.interp(v, [0, 0.79, 1], [0.003, 0.56, 0.997])], -1)
+    across = np.interp(u, [0.635, 0.80, 0.96, 1.0], [0, 0.25, 0.93, 1])
+    face = np.stack([across, np.interp(v, [0.17, 0.415, 0.615, 0.86], [0.01, 0.17, 0.83, 0.99])], -1)
+    tucked = 0.003 + 0.026 * np.stack([u, v], -1)
+    chosen = (head | inner)[:, None, None]
+    return np.where(head | inner, HEAD, BODY), np.where(chosen, np.where(inner[:, None, None], tucked, face), on_body)
+
+
+def _chart(body: Body) -> tuple[Int[Array, "faces"], Float[Array, "faces 3 2"]]:
+    assert body.uv is not None and body.uv_faces is not None
+    island = component_labels(body.uv_faces, len(body.uv))[body.uv_faces[:, 0]]
+    return body_atlas(body.uv[body.uv_faces], island, dense_weights(body.skin)[body.faces[:, 0], 15] > 0.9)
+
+
+def head_chart(body: Body) -> tuple[Int[Array, "head"], Float[Array, "head 3 2"]]:
+    """The faces of the head, and their places in its picture."""
+    number, uv = _chart(body)
+    return np.flatnonzero(number == HEAD), uv[number == HEAD]
+
+
+def inside_hairline(across: Float[Array, "*n"], down: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Metres inside the hairline, about, at places of the head's picture."""
+    return METRES * (np.interp(np.abs(down - 0.5), *HAIRLINE.T) - across)
+
+
+def skin_pieces(body: Body, looks: Looks, worn: SynthSubject, hidden: Bool[Array, "vertices"]) -> list[Piece]:
+    """Head, and the skin of the body where not all corners of a face are `hidden`; `worn`: the built-in person."""
+    weights = dense_weights(body.skin)
+    number, uv = _chart(body)
+    shown = ~hidden[body.faces].all(1)
+    # metres past the wrist
+    past = np.abs(body.vertices[:, 0]) - np.abs(body.joints[20:22, 0]).mean()
+    pictures = {BODY: body_picture(worn.textures[BODY], looks, uv[number == BODY], past[body.faces[number == BODY]]),
+                HEAD: head_picture(worn.textures[HEAD], looks)}  # fmt: skip
+    return [
+        Piece("skin", body.vertices, body.faces[rows], uv[rows], weights, picture)
+        for part, picture in pictures.items()
+        for rows in [np.flatnonzero((number == part) & shown)]
+    ]
+
+
+def head_picture(painted: Picture, looks: Looks) -> Picture:
+    """The painted face in another skin; where hair grows the scalp shows, or the ground color of hair."""
+    tone, plain = _toned(painted, looks), _plain(looks, 3)
+    row, column = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE
+    inside = inside_hairline(column, row)
+    tucked = (column < 0.032) & (row < 0.032)
+    covered = smoothstep(-0.004, 0.0, METRES * (np.interp(np.abs(row - 0.5), *PAINTED_HAIR.T) - column)) * ~tucked
+    covered = np.maximum(covered, smoothstep(0.82, 0.97, column))[..., None]
+    color = tone * (1 - covered) + plain * covered
+    if looks.hair != "bald":
+        grown = (smoothstep(0.001, 0.008, inside) * ~tucked)[..., None]
+        color = color * (1 - grown) + 0.8 * rgb(looks.hair_color) * grown
+    return np.clip(np.round(color), 0, 255).astype(np.uint8)
+
+
+def body_picture(
+    painted: Picture, looks: Looks, uv: Float[Array, "faces 3 2"], past: Float[Array, "faces 3"]
+) -> Picture:
+    """Plain skin, with the painted hands beyond the wrists; `past`: metres of the corners past the wrist."""
+    places, first = np.unique(uv.reshape(-1, 2), axis=0, return_index=True)
+    row, column = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE
+    hand = LinearNDInterpolator(places, past.ravel()[first], fill_value=-1)(column, row)
+    share = smoothstep(-0.02, 0.03, hand)[..., None]
+    color = _plain(looks, 4) * (1 - share) + _toned(painted, looks) * share
+    return np.clip(np.round(color), 0, 255).astype(np.uint8)
+
+
+def _toned(painted: Picture, looks: Looks) -> Float[Array, "size size 3"]:
+    small = Image.fromarray(painted).resize((SIZE, SIZE), Image.Resampling.BOX)
+    return np.asarray(small, np.float32) / rgb(PAINTED[looks.sex]) * rgb(looks.skin)
+
+
+def _plain(looks: Looks, seed: int) -> Float[Array, "size size 3"]:
+    """Skin as it is on arms and legs: a little uneven."""
+    grain = np.random.default_rng([looks.seed, seed]).standard_normal((2, 32, 32))
+    tones = [Image.fromarray(g.astype(np.float32)).resize((SIZE, SIZE), Image.Resampling.BICUBIC) for g in grain]
+    light, red = (np.asarray(tone)[..., None] for tone in tones)
+    return 0.93 * rgb(looks.skin) * (1 + 0.012 * light + 0.012 * red * [0.3, -0.5, -0.5])
+
+
+def eye_piece(body: Body, looks: Looks, worn: SynthSubject) -> Piece:
+    """The painted eyeballs of the built-in person, put in the sockets, with another iris."""
+    assert worn.eye is not None
+    faces = worn.faces[worn.eye[worn.faces].all(1)]
+    used, index = np.unique(faces, return_inverse=True)
+    points = worn.vertices[used].astype(np.float64)
+    for side, (*centre, radius) in zip((1, -1), socket_spheres(body.vertices)):
+        own = side * worn.vertices[used, 0] > 0
+        middle, size = fit_sphere(points[own])
+        points[own] = centre + (points[own] - middle) * radius / size
+    picture = worn.textures[EYEBALL].astype(np.float32)
+    row, column = (np.mgrid[: len(picture), : len(picture)] + 0.5) / len(picture) - 0.5
+    away = np.hypot(row, column)
+    iris = ((away > 0.122) & (away < 0.2))[..., None] & (picture.mean(2, keepdims=True) < 225)
+    picture = np.where(iris, picture.mean(2, keepdims=True) / 105 * rgb(looks.iris), picture)
+    weights = np.zeros((len(used), 52))
+    weights[:, 15] = 1
+    return Piece("eye", points, index.reshape(-1, 3), worn.uv[faces].astype(np.float64), weights,
+                 np.clip(picture, 0, 255).astype(np.uint8))  # fmt: skip

@@ -1,0 +1,145 @@
+"""Pieces of a dressed person: sheets of cloth or hair given a thickness, lofts of rings, and their texture coordinates.
+
+Frame: pose 0, pelvis at the origin, metres. Rings run from +z (the front) by +x (the person's left) round to the back.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+from scipy.spatial import ConvexHull
+
+from geometry.mesh import half_edges, vertex_normals
+from synth.people.cloth import Picture
+
+Round = Float[Array, "rings around 3"]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Triangles that show one picture, and what they are: "skin", "eye", "hair", "cloth" or "shoe"."""
+
+    kind: str
+    points: Float[Array, "points 3"]
+    faces: Int[Array, "faces 3"]
+    uv: Float[Array, "faces 3 2"]  # v runs down; beyond 0 and 1 the picture repeats
+    weights: Float[Array, "points 52"]
+    picture: Picture
+
+
+def neighbour_keys(ends: Int[Array, "n 2"], count: int) -> Int[Array, "n"]:
+    """One number for each directed edge of a mesh of `count` vertices."""
+    return ends[:, 0].astype(np.int64) * count + ends[:, 1]
+
+
+def shell(piece: Piece, thickness: Float[Array, "points"] | float) -> Piece:
+    """The sheet closed: itself as the outside, an inside `thickness` under it, and a rim round every opening."""
+    points, faces, count = piece.points, piece.faces, len(piece.points)
+    inner = points - np.broadcast_to(thickness, count)[:, None] * vertex_normals(points, faces)
+    ends = half_edges(faces)
+    rim = ~np.isin(neighbour_keys(ends, count), neighbour_keys(ends[:, ::-1], count))
+    a, b = ends[rim].T
+    p, q = np.concatenate([piece.uv[:, [0, 1]], piece.uv[:, [1, 2]], piece.uv[:, [2, 0]]])[rim].swapaxes(0, 1)
+    sides = np.stack([b, a, a + count], 1), np.stack([b, a + count, b + count], 1)
+    return replace(
+        piece,
+        points=np.concatenate([points, inner]),
+        faces=np.concatenate([faces, faces[:, ::-1] + count, *sides]),
+        uv=np.concatenate([piece.uv, piece.uv[:, ::-1], np.stack([q, p, p], 1), np.stack([q, p, q], 1)]),
+        weights=np.tile(piece.weights, (2, 1)),
+    )
+
+
+def loft(
+    rings: Round, u: Float[Array, "columns"], v: Float[Array, "rings"], *, closed: bool = True, capped: bool = False
+) -> tuple[Float[Array, "points 3"], Int[Array, "faces 3"], Float[Array, "faces 3 2"]]:
+    """Points, faces and texture coordinates of the surface through rings that run downwards.
+
+    `closed`: the last column meets the first, and `u` has one value more than a ring has points; `capped`: a fan
+    closes either end.
+    """
+    count, around = rings.shape[:2]
+    columns = around + closed
+    k, i = (grid.ravel() for grid in np.meshgrid(np.arange(count - 1), np.arange(columns - 1), indexing="ij"))
+    a = k * columns + i
+    corners = np.concatenate([np.stack([a, a + columns, a + columns + 1], 1), np.stack([a, a + columns + 1, a + 1], 1)])
+    row, column = np.divmod(corners, columns)
+    points, faces, uv = rings.reshape(-1, 3), row * around + column % around, np.stack([u[column], v[row]], -1)
+    if capped:
+        ring = np.arange(around)
+        after, last, end = (ring + 1) % around, (count - 1) * around, np.full(around, count * around)
+        points = np.concatenate([points, rings[[0, -1]].mean(1)])
+        faces = np.concatenate([faces, np.stack([ring, after, end], 1), np.stack([last + after, last + ring, end + 1], 1)])
+        fans = [np.stack([np.stack([u[ring], 0 * ring + v[k]], 1)] * 3, 1) for k in (0, -1)]
+        uv = np.concatenate([uv, *fans])
+    return points, faces, uv
+
+
+def tube(path: Float[Array, "rings 3"], radius: Float[Array, "rings"], around: int = 20) -> Round:
+    """Circles of these radii about a path, across it."""
+    along = np.gradient(path, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(along, [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    beside = np.cross(across, along)
+    angle = 2 * np.pi * np.arange(around) / around
+    circle = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * beside[:, None]
+    return path[:, None] + radius[:, None, None] * circle
+
+
+def reach(points: Float[Array, "n 2"], angle: Float[Array, "around"]) -> Float[Array, "around"]:
+    """How far from the origin the convex outline of points in (x, z) lies in directions from +z towards +x.
+
+    The origin lies inside; a ray leaves the outline at the nearest of its edges' lines.
+    """
+    outline = points[ConvexHull(points).vertices]
+    edge = np.roll(outline, -1, axis=0) - outline
+    normal = np.stack([edge[:, 1], -edge[:, 0]], 1)
+    facing = np.stack([np.sin(angle), np.cos(angle)], 1) @ normal.T
+    distance = (normal * outline).sum(1)
+    return np.where(facing > 1e-12, distance / np.maximum(facing, 1e-12), np.inf).min(1)
+
+
+def unrolled(
+    angle: Float[Array, "points"], along: Float[Array, "points"], faces: Int[Array, "faces 3"], repeats: float, tile: float
+) -> Float[Array, "faces 3 2"]:
+    """Texture coordinates round an axis: `repeats` pictures a turn, one for every `tile` metres along it."""
+    turn = angle[faces]
+    apart = turn - turn[:, :1]
+    turn = turn[:, :1] + apart - 2 * np.pi * np.round(apart / (2 * np.pi))
+    return np.stack([turn * repeats / (2 * np.pi), along[faces] / tile], -1)
+
+
+def trimmed(
+    inside: Float[Array, "points"], faces: Int[Array, "faces 3"], values: Sequence[Float[Array, "points _"]]
+) -> tuple[Int[Array, "kept 3"], list[Float[Array, "kept _"]]]:
+    """The part of a mesh where `inside` is positive, its edge on the zero line: faces, and the values of its points.
+
+    A point outside slides along the edge to its innermost neighbour until it meets the line.
+    """
+    faces = faces[(inside[faces] > 0).any(1)]
+    ends = half_edges(faces)
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    ends = ends[(inside[ends[:, 0]] <= 0) & (inside[ends[:, 1]] > 0)]
+    # the innermost last: NumPy keeps the last of repeated indices
+    out, into = ends[np.argsort(inside[ends[:, 1]], kind="stable")].T
+    partner, share = np.arange(len(inside)), np.zeros((len(inside), 1))
+    partner[out] = into
+    share[out, 0] = inside[out] / (inside[out] - inside[into])
+    kept, index = np.unique(faces, return_inverse=True)
+    moved = [((1 - share) * value + share * value[partner])[kept] for value in values]
+    return index.reshape(-1, 3), moved
+
+
+def waves(points: Float[Array, "n 3"], scale: Float[Array, "3"] | Sequence[float], rng: np.random.Generator) -> Array:
+    """Smooth noise of about -1 to 1: twelve plane waves in random directions, `scale` radians a metre about each axis."""
+    direction = rng.standard_normal((12, 3)) * scale
+    return np.sin(points @ direction.T + rng.uniform(0, 2 * np.pi, 12)).sum(1) / 4
+
+
+def smoothstep(low: float, high: float, x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """0 below `low`, 1 above `high`, smooth between; the other way round where low > high."""
+    t = np.clip((x - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)
