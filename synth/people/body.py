@@ -28,11 +28,11 @@ BODY, HEAD, EYEBALL = range(3)  # pictures of the built-in people
 PAINTED = {"male": (222, 172, 143), "female": (232, 188, 164)}
 SIZE = 1024
 # in the head's picture: across from its middle line, and how far down hair grows there
-HAIRLINE = np.array([(0, 0.21), (0.30, 0.22), (0.335, 0.245), (0.35, 0.36), (0.362, 0.27), (0.385, 0.275), (0.41, 0.46),
-                     (0.43, 0.53), (0.5, 0.55)])  # fmt: skip
+HAIRLINE = np.array([(0, 0.200), (0.1, 0.198), (0.2, 0.212), (0.28, 0.238), (0.33, 0.262), (0.347, 0.34), (0.362, 0.27),
+                     (0.385, 0.275), (0.41, 0.46), (0.43, 0.53), (0.5, 0.55)])  # fmt: skip
 # over what of it the built-in people's hair is painted, and a little more
-PAINTED_HAIR = np.array([(0, 0.24), (0.32, 0.26), (0.34, 0.30), (0.35, 0.48), (0.365, 0.48), (0.375, 0.31), (0.395, 0.32),
-                         (0.40, 0.54), (0.42, 0.64), (0.44, 0.68), (0.5, 0.68)])  # fmt: skip
+PAINTED_HAIR = np.array([(0, 0.24), (0.32, 0.26), (0.34, 0.30), (0.35, 0.48), (0.40, 0.56), (0.42, 0.64), (0.44, 0.72),
+                         (0.5, 0.72)])  # fmt: skip
 METRES = 0.33  # of a head by the height of its picture
 # metres of fat over the parts that a joint moves, on the heaviest person
 FLESH = {0: 0.035, 3: 0.055, 6: 0.04, 9: 0.022, 1: 0.03, 2: 0.03, 4: 0.012, 5: 0.012, 12: 0.012, 13: 0.015, 14: 0.015,
@@ -119,8 +119,10 @@ def head_picture(painted: Picture, looks: Looks) -> Picture:
     row, column = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE
     inside = inside_hairline(column, row)
     tucked = (column < 0.032) & (row < 0.032)
-    covered = smoothstep(-0.004, 0.0, METRES * (np.interp(np.abs(row - 0.5), *PAINTED_HAIR.T) - column)) * ~tucked
-    covered = np.maximum(covered, smoothstep(0.82, 0.97, column))[..., None]
+    aside = np.abs(row - 0.5)
+    painted_hair = METRES * (np.interp(aside, *PAINTED_HAIR.T) - column) / np.interp(aside, [0.3, 0.4], [0.01, 0.03])
+    covered = smoothstep(-1, 0, painted_hair) * ~tucked
+    covered = np.maximum(covered, smoothstep(0, 0.15, column - np.interp(aside, [0.15, 0.33], [0.82, 0.60])))[..., None]
     color = tone * (1 - covered) + plain * covered
     if looks.hair != "bald":
         grown = (smoothstep(0.001, 0.008, inside) * ~tucked)[..., None]

@@ -53,7 +53,7 @@ def cloth_picture(cloth: Cloth, seed: int) -> Picture:
     if cloth.pattern == "denim":
         color = np.broadcast_to(np.array([58.0, 78.0, 116.0]), color.shape)
         twill = 0.05 * np.cos(2 * np.pi * 128 * (x + y))
-        fade = 0.35 * _tone(rng, 40)
+        fade = 0.12 * _tone(rng, 60)
     else:
         twill, fade = 0.03 * np.cos(2 * np.pi * 128 * x) * np.cos(2 * np.pi * 128 * y), 0.05 * _tone(rng, 30)
     tone = 1 + 0.05 * gaussian_filter(grain, 0.8, mode="wrap") + twill + 0.4 * fade

@@ -38,7 +38,7 @@ def hair_pieces(body: Body, looks: Looks, obstacles: list[Piece]) -> list[Piece]
         return [cap, _tied(outside, solid, looks, picture, 0.026, looks.hair_length + 0.1)]
     if looks.hair in ("long", "long front"):
         end = body.joints[NECK, 1] - looks.hair_length
-        spans = [(1.25, 2 * np.pi - 1.25)] if looks.hair == "long" else [(0.85, 1.75), (1.6, 4.68), (4.53, 5.43)]
+        spans = [(1.5, 2 * np.pi - 1.5)] if looks.hair == "long" else [(0.85, 1.75), (1.6, 4.68), (4.53, 5.43)]
         return [cap, *(_curtain(outside, solid, looks, span, end, picture) for span in spans)]
     if looks.hair == "bob":
         return [cap, _curtain(outside, solid, looks, (0.9, 2 * np.pi - 0.9), body.joints[NECK, 1] + 0.025, picture)]
@@ -54,12 +54,13 @@ def _cap(body: Body, looks: Looks, picture: Picture) -> Piece:
     mesh, kept = compact(body.vertices, body.faces[rows])
     points, faces, grown = trimesh.remesh.subdivide(mesh.vertices, mesh.faces, vertex_attributes={"i": inside[kept, None]})
     normals = vertex_normals(np.asarray(points), faces)
-    faces, (points, normals, grown) = trimmed(grown["i"][:, 0] - 0.001, faces, [np.asarray(points), normals, grown["i"]])
     rng = np.random.default_rng([looks.seed, 51])
+    ragged = grown["i"] + 0.0018 * waves(points, (220, 60, 160), rng)[:, None]
+    faces, (points, normals, grown) = trimmed(ragged[:, 0], faces, [np.asarray(points), normals, ragged])
     high = smoothstep(-0.02, 0.07, points[:, 1] - body.joints[HEAD, 1] - 0.09)
     rough = waves(points, (150, 150, 150), rng) if looks.hair == "curly" else waves(points, (60, 20, 20), rng)
-    thick = CAP[looks.hair] * (0.55 + 0.45 * high) * (1 + (0.22 if looks.hair == "curly" else 0.1) * rough)
-    thick = 0.002 + thick * np.sqrt(smoothstep(-0.004, 0.022, grown[:, 0]))
+    thick = CAP[looks.hair] * ((0.3 + 0.7 * high) if looks.hair == "short" else (0.55 + 0.45 * high)) * (1 + (0.22 if looks.hair == "curly" else 0.1) * rough)
+    thick = 0.002 + thick * smoothstep(-0.012, 0.045, grown[:, 0])
     centre = points.mean(0)
     polar = np.arccos(np.clip(((points - centre) @ [0, 0.9, -0.43]) / np.linalg.norm(points - centre, axis=1), -1, 1))
     uv = unrolled(np.arctan2(points[:, 0], points[:, 2] - centre[2]), 0.1 * polar, faces, 4, TILE)
@@ -72,17 +73,22 @@ class _Solid:
     """The surface that hair falls on."""
 
     def __init__(self, body: Body, clothes: list[Piece]):
-        parts = [(body.vertices, body.faces), *((piece.points, piece.faces) for piece in clothes)]
+        # ears and face do not hold hair up
+        below = body.faces[(body.skin.heaviest[body.faces] != HEAD).all(1)]
+        parts = [compact(body.vertices, below)[0], *((piece.points, piece.faces) for piece in clothes)]
         self.neck = body.joints[NECK, 1]
+        head = body.vertices[body.skin.heaviest == HEAD]
+        self.ears = head[np.abs(head[:, 0]) > np.abs(head[:, 0]).max() - 0.012]
         self.normals = np.concatenate([vertex_normals(*part) for part in parts])
         self.tree = KDTree(np.concatenate([points for points, _ in parts]))
 
     def pushed(self, points: Float[Array, "n 3"], clearance: float) -> tuple[Float[Array, "n 3"], Array]:
         """Points at least `clearance` metres outside, and which ones had to move."""
-        _, nearest = self.tree.query(points)
+        distance, nearest = self.tree.query(points)
         normal = self.normals[nearest]
         off = ((points - self.tree.data[nearest]) * normal).sum(1)
-        return points + np.maximum(clearance - off, 0)[:, None] * normal, off < clearance
+        close = (off < clearance) & (distance < 0.045)
+        return points + (close * (clearance - off))[:, None] * normal, close
 
     def fall(
         self, start: Float[Array, "n 3"], end: float, lean: float, clearance: float, rows: int
@@ -94,6 +100,9 @@ class _Solid:
             moved, touching = self.pushed(step, clearance)
             path.append(moved)
         way = np.array(path)
+        # strands that rub against a shoulder do not zigzag
+        for _ in range(20):
+            way[1:-1] = 0.5 * way[1:-1] + 0.25 * (way[:-2] + way[2:])
         length = np.r_[np.zeros((1, len(start))), np.linalg.norm(np.diff(way, axis=0), axis=2).cumsum(0)]
         out = np.empty((rows, len(start), 3))
         for k in range(len(start)):
@@ -110,8 +119,9 @@ def _curtain(
     angle = np.linspace(*span, 8 + int(11 * (span[1] - span[0])))
     middle = np.array([0, cap[:, 1].max(), 0.5 * (cap[:, 2].min() + cap[:, 2].max())])
     rings, least = [], np.zeros(len(angle))
-    for drop in np.linspace(0.015, 0.115, 12):
-        above = cap[cap[:, 1] > middle[1] - drop][:, [0, 2]] - middle[[0, 2]]
+    for drop in np.linspace(0.015, 0.15, 14):
+        above = np.concatenate([cap, solid.ears])
+        above = above[above[:, 1] > middle[1] - drop][:, [0, 2]] - middle[[0, 2]]
         least = np.maximum(least, reach(above, angle) + 0.002)
         rings.append(middle + np.stack([np.sin(angle) * least, np.full(len(angle), -drop), np.cos(angle) * least], 1))
     front = np.cos(angle.mean()) > -0.2
@@ -123,7 +133,7 @@ def _curtain(
     for _ in range(6):
         sheet[1:-1] = 0.5 * sheet[1:-1] + 0.25 * (sheet[:-2] + sheet[2:])
         sheet[:, 1:-1] = 0.5 * sheet[:, 1:-1] + 0.25 * (sheet[:, :-2] + sheet[:, 2:])
-    sheet[12:] = solid.pushed(sheet[12:].reshape(-1, 3), 0.7 * clearance)[0].reshape(-1, len(angle), 3)
+    sheet[14:] = solid.pushed(sheet[14:].reshape(-1, 3), 0.7 * clearance)[0].reshape(-1, len(angle), 3)
     points, faces, uv = loft(sheet, 0.1 * angle / TILE, share * (middle[1] - end) / TILE, closed=False)
     across = np.linspace(0, 1, len(angle))
     edge = smoothstep(0, 0.14, np.minimum(across, 1 - across))
