@@ -50,7 +50,9 @@ def tiles(studio: Studio, side: int) -> list[UInt8[np.ndarray, "side _ 3"]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command line."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.people_sheet", description=(__doc__ or "").split("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.people_sheet", description=(__doc__ or "").split("\n")[0]
+    )
     parser.add_argument("out", type=Path)
     parser.add_argument("seeds", type=int, nargs="*", default=list(range(1, 13)))
     parser.add_argument("--side", type=int, default=512, help="pixels of a picture")

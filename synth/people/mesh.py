@@ -14,14 +14,14 @@ from scipy.spatial import ConvexHull
 from geometry.mesh import half_edges, vertex_normals
 from synth.people.cloth import Picture
 
-Round = Float[Array, "rings around 3"]
+Loft = tuple[Float[Array, "points 3"], Int[Array, "faces 3"], Float[Array, "faces 3 2"]]
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Triangles that show one picture, and what they are: "skin", "eye", "hair", "cloth" or "shoe"."""
+    """Triangles that show one picture."""
 
-    kind: str
+    kind: str  # "skin", "eye", "hair", "cloth" or "shoe"
     points: Float[Array, "points 3"]
     faces: Int[Array, "faces 3"]
     uv: Float[Array, "faces 3 2"]  # v runs down; beyond 0 and 1 the picture repeats
@@ -29,17 +29,12 @@ class Piece:
     picture: Picture
 
 
-def neighbour_keys(ends: Int[Array, "n 2"], count: int) -> Int[Array, "n"]:
-    """One number for each directed edge of a mesh of `count` vertices."""
-    return ends[:, 0].astype(np.int64) * count + ends[:, 1]
-
-
 def shell(piece: Piece, thickness: Float[Array, "points"] | float) -> Piece:
     """The sheet closed: itself as the outside, an inside `thickness` under it, and a rim round every opening."""
     points, faces, count = piece.points, piece.faces, len(piece.points)
     inner = points - np.broadcast_to(thickness, count)[:, None] * vertex_normals(points, faces)
-    ends = half_edges(faces)
-    rim = ~np.isin(neighbour_keys(ends, count), neighbour_keys(ends[:, ::-1], count))
+    ends = half_edges(faces).astype(np.int64)
+    rim = ~np.isin(ends @ [count, 1], ends @ [1, count])
     a, b = ends[rim].T
     p, q = np.concatenate([piece.uv[:, [0, 1]], piece.uv[:, [1, 2]], piece.uv[:, [2, 0]]])[rim].swapaxes(0, 1)
     sides = np.stack([b, a, a + count], 1), np.stack([b, a + count, b + count], 1)
@@ -52,41 +47,34 @@ def shell(piece: Piece, thickness: Float[Array, "points"] | float) -> Piece:
     )
 
 
-def loft(
-    rings: Round, u: Float[Array, "columns"], v: Float[Array, "rings"], *, closed: bool = True, capped: bool = False
-) -> tuple[Float[Array, "points 3"], Int[Array, "faces 3"], Float[Array, "faces 3 2"]]:
+def loft(rings: Float[Array, "rings around 3"], u: Float[Array, "columns"], v: Float[Array, "rings"]) -> Loft:
     """Points, faces and texture coordinates of the surface through rings that run downwards.
 
-    `closed`: the last column meets the first, and `u` has one value more than a ring has points; `capped`: a fan
-    closes either end.
+    With one more column in `u` than a ring has points the surface is closed round; else it is a sheet.
     """
-    count, around = rings.shape[:2]
-    columns = around + closed
+    (count, around), columns = rings.shape[:2], len(u)
     k, i = (grid.ravel() for grid in np.meshgrid(np.arange(count - 1), np.arange(columns - 1), indexing="ij"))
     a = k * columns + i
-    corners = np.concatenate([np.stack([a, a + columns, a + columns + 1], 1), np.stack([a, a + columns + 1, a + 1], 1)])
+    below, after = a + columns, a + 1
+    corners = np.concatenate([np.stack([a, below, below + 1], 1), np.stack([a, below + 1, after], 1)])
     row, column = np.divmod(corners, columns)
-    points, faces, uv = rings.reshape(-1, 3), row * around + column % around, np.stack([u[column], v[row]], -1)
-    if capped:
-        ring = np.arange(around)
-        after, last, end = (ring + 1) % around, (count - 1) * around, np.full(around, count * around)
-        points = np.concatenate([points, rings[[0, -1]].mean(1)])
-        faces = np.concatenate([faces, np.stack([ring, after, end], 1), np.stack([last + after, last + ring, end + 1], 1)])
-        fans = [np.stack([np.stack([u[ring], 0 * ring + v[k]], 1)] * 3, 1) for k in (0, -1)]
-        uv = np.concatenate([uv, *fans])
-    return points, faces, uv
+    return rings.reshape(-1, 3), row * around + column % around, np.stack([u[column], v[row]], -1)
 
 
-def tube(path: Float[Array, "rings 3"], radius: Float[Array, "rings"], around: int = 20) -> Round:
-    """Circles of these radii about a path, across it."""
+def tube(path: Float[Array, "rings 3"], radius: Float[Array, "rings around"]) -> Float[Array, "rings around 3"]:
+    """Rings about a path, across it."""
     along = np.gradient(path, axis=0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along, [1.0, 0.0, 0.0])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    beside = np.cross(across, along)
-    angle = 2 * np.pi * np.arange(around) / around
-    circle = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * beside[:, None]
-    return path[:, None] + radius[:, None, None] * circle
+    beside = np.cross(across, along / np.linalg.norm(along, axis=1, keepdims=True))
+    angle = 2 * np.pi * np.arange(radius.shape[1])[:, None] / radius.shape[1]
+    return path[:, None] + radius[..., None] * (np.cos(angle) * across[:, None] + np.sin(angle) * beside[:, None])
+
+
+def ended(rings: Float[Array, "rings around 3"]) -> Float[Array, "more around 3"]:
+    """The rings between their middles, each repeated as a ring: the loft is closed at either end."""
+    middle = np.broadcast_to(rings.mean(1, keepdims=True), rings.shape)
+    return np.concatenate([middle[:1], rings, middle[-1:]])
 
 
 def reach(points: Float[Array, "n 2"], angle: Float[Array, "around"]) -> Float[Array, "around"]:
@@ -98,18 +86,16 @@ def reach(points: Float[Array, "n 2"], angle: Float[Array, "around"]) -> Float[A
     edge = np.roll(outline, -1, axis=0) - outline
     normal = np.stack([edge[:, 1], -edge[:, 0]], 1)
     facing = np.stack([np.sin(angle), np.cos(angle)], 1) @ normal.T
-    distance = (normal * outline).sum(1)
-    return np.where(facing > 1e-12, distance / np.maximum(facing, 1e-12), np.inf).min(1)
+    return np.where(facing > 1e-12, (normal * outline).sum(1) / np.maximum(facing, 1e-12), np.inf).min(1)
 
 
 def unrolled(
-    angle: Float[Array, "points"], along: Float[Array, "points"], faces: Int[Array, "faces 3"], repeats: float, tile: float
+    angle: Float[Array, "points"], along: Float[Array, "points"], faces: Int[Array, "faces 3"], repeats: float
 ) -> Float[Array, "faces 3 2"]:
-    """Texture coordinates round an axis: `repeats` pictures a turn, one for every `tile` metres along it."""
-    turn = angle[faces]
-    apart = turn - turn[:, :1]
-    turn = turn[:, :1] + apart - 2 * np.pi * np.round(apart / (2 * np.pi))
-    return np.stack([turn * repeats / (2 * np.pi), along[faces] / tile], -1)
+    """Texture coordinates round an axis: `repeats` pictures a turn, and `along` of them down."""
+    apart = angle[faces] - angle[faces[:, :1]]
+    turn = angle[faces[:, :1]] + apart - 2 * np.pi * np.round(apart / (2 * np.pi))
+    return np.stack([turn * repeats / (2 * np.pi), along[faces]], -1)
 
 
 def trimmed(
@@ -126,16 +112,14 @@ def trimmed(
     # the innermost last: NumPy keeps the last of repeated indices
     out, into = ends[np.argsort(inside[ends[:, 1]], kind="stable")].T
     partner, share = np.arange(len(inside)), np.zeros((len(inside), 1))
-    partner[out] = into
-    share[out, 0] = inside[out] / (inside[out] - inside[into])
+    partner[out], share[out, 0] = into, inside[out] / (inside[out] - inside[into])
     kept, index = np.unique(faces, return_inverse=True)
-    moved = [((1 - share) * value + share * value[partner])[kept] for value in values]
-    return index.reshape(-1, 3), moved
+    return index.reshape(-1, 3), [((1 - share) * value + share * value[partner])[kept] for value in values]
 
 
-def waves(points: Float[Array, "n 3"], scale: Float[Array, "3"] | Sequence[float], rng: np.random.Generator) -> Array:
-    """Smooth noise of about -1 to 1: twelve plane waves in random directions, `scale` radians a metre about each axis."""
-    direction = rng.standard_normal((12, 3)) * scale
+def waves(points: Float[Array, "n d"], scale: Sequence[float], rng: np.random.Generator) -> Float[Array, "n"]:
+    """Smooth noise of about -1 to 1: twelve plane waves in random directions, `scale` radians a metre on each axis."""
+    direction = rng.standard_normal((12, len(scale))) * scale
     return np.sin(points @ direction.T + rng.uniform(0, 2 * np.pi, 12)).sum(1) / 4
 
 
