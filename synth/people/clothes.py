@@ -19,7 +19,7 @@ from avatar.skinning import dense_weights
 from geometry.mesh import compact, neighbour_matrix, vertex_normals
 from synth.people.cloth import TILE, Picture, cloth_picture
 from synth.people.looks import Cloth, Looks
-from synth.people.mesh import Piece, loft, reach, shell, smoothstep, trimmed, unrolled, waves
+from synth.people.mesh import Piece, hemmed, loft, reach, shell, smoothstep, trimmed, unrolled, waves
 
 Region = Callable[[Float[Array, "n 3"]], Float[Array, "n"]]
 
@@ -126,6 +126,7 @@ def hung(
     points = np.where(free, points + (folds * slack * np.maximum(ridge, -0.8))[:, None] * normals, points)
     faces, (points, base, normals, weights) = trimmed(inside, figure.faces, [points, base, normals, figure.weights])
     _hang_legs(points, base, joints, flare)
+    points = hemmed(points, faces)
     return shell(Piece("cloth", points, faces, _places(base, normals, faces, joints), weights, picture), THICK)
 
 

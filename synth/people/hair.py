@@ -128,10 +128,11 @@ def _curtain(
     sheet = np.concatenate([rings[:-1], solid.fall(rings[-1], end, 0.8 if front else -0.8, clearance)])
     rng, share = np.random.default_rng([seed, 52]), np.linspace(0, 1, len(sheet))[:, None]
     sheet[..., 0] += 0.007 * rng.uniform() * share * np.sin(70 * sheet[..., 1] + 2 * angle)
-    for _ in range(6):
+    for again in range(9):
         sheet[1:-1] = 0.5 * sheet[1:-1] + 0.25 * (sheet[:-2] + sheet[2:])
         sheet[:, 1:-1] = 0.5 * sheet[:, 1:-1] + 0.25 * (sheet[:, :-2] + sheet[:, 2:])
-    sheet[14:] = solid.pushed(sheet[14:].reshape(-1, 3), 0.7 * clearance)[0].reshape(sheet[14:].shape)
+        if again == 5:
+            sheet[14:] = solid.pushed(sheet[14:].reshape(-1, 3), 0.7 * clearance)[0].reshape(sheet[14:].shape)
     points, faces, uv = loft(sheet, 0.1 * angle / TILE, share[:, 0] * (middle[1] - end) / TILE)
     # thin at its beginning, its tips and its sides; in locks
     aside = np.minimum(angle - span[0], span[1] - angle) / (span[1] - span[0])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.spatial import ConvexHull
 
@@ -29,13 +29,31 @@ class Piece:
     picture: Picture
 
 
+def rim_edges(faces: Int[Array, "faces 3"], count: int) -> tuple[Bool[Array, "3*faces"], Int[Array, "rim 2"]]:
+    """The directed edges that one face alone has: which of all half edges, and themselves."""
+    ends = half_edges(faces).astype(np.int64)
+    rim = ~np.isin(ends @ [count, 1], ends @ [1, count])
+    return rim, ends[rim]
+
+
+def hemmed(points: Float[Array, "points 3"], faces: Int[Array, "faces 3"], steps: int = 12) -> Float[Array, "points 3"]:
+    """The points of a sheet with its edges smoothed along themselves."""
+    _, ends = rim_edges(faces, len(points))
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    near = np.maximum(np.bincount(ends[:, 0], minlength=len(points)), 1)[:, None]
+    for _ in range(steps):
+        away = np.zeros_like(points)
+        np.add.at(away, ends[:, 0], points[ends[:, 1]] - points[ends[:, 0]])
+        points = points + 0.5 * away / near
+    return points
+
+
 def shell(piece: Piece, thickness: Float[Array, "points"] | float) -> Piece:
     """The sheet closed: itself as the outside, an inside `thickness` under it, and a rim round every opening."""
     points, faces, count = piece.points, piece.faces, len(piece.points)
     inner = points - np.broadcast_to(thickness, count)[:, None] * vertex_normals(points, faces)
-    ends = half_edges(faces).astype(np.int64)
-    rim = ~np.isin(ends @ [count, 1], ends @ [1, count])
-    a, b = ends[rim].T
+    rim, ends = rim_edges(faces, count)
+    a, b = ends.T
     p, q = np.concatenate([piece.uv[:, [0, 1]], piece.uv[:, [1, 2]], piece.uv[:, [2, 0]]])[rim].swapaxes(0, 1)
     sides = np.stack([b, a, a + count], 1), np.stack([b, a + count, b + count], 1)
     return replace(
