@@ -1,6 +1,6 @@
 """Twelve people drawn from seeds, each from four sides and the face close by: docs/pictures/people.png.
 
-python -m experiments.people_sheet docs/pictures/people.png [SEED ...] [--side 512]
+python -m experiments.people_sheet docs/pictures/people.png [SEED ...]
 """
 
 import argparse
@@ -13,7 +13,7 @@ from PIL import Image
 
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, PARTS
-from bench.report.contact import save_sheet
+from files.whole import whole_file
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
 from synth.film import frame_points, rotation
@@ -23,6 +23,7 @@ from synth.photo import Studio
 
 SIDES = (0, 90, 180, 270)  # degrees that the person has turned
 GROUND = 232
+COLORS = 128
 
 
 def tiles(studio: Studio, side: int) -> list[UInt8[np.ndarray, "side _ 3"]]:
@@ -56,6 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("seeds", type=int, nargs="*", default=list(range(1, 13)))
     parser.add_argument("--side", type=int, default=512, help="pixels of a picture")
+    parser.add_argument("--width", type=int, default=1600, help="pixels of the sheet")
     options = parser.parse_args(argv)
     context = open_context()
     rasteriser = Rasteriser(context)
@@ -66,10 +68,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         rows.append(np.concatenate(tiles(Studio(rasteriser, subject, 2), options.side), 1))
     rasteriser.release()
     context.release()
-    if len(rows) % 2:
-        rows.append(np.full_like(rows[0], GROUND))
-    page = np.concatenate([np.concatenate(rows[i : i + 2], 1) for i in range(0, len(rows), 2)])
-    save_sheet(options.out, Image.fromarray(page).quantize(192))
+    rows += [np.full_like(rows[0], GROUND)] * (len(rows) % 2)
+    page = Image.fromarray(np.concatenate([np.concatenate(rows[i : i + 2], 1) for i in range(0, len(rows), 2)]))
+    page = page.resize((options.width, page.height * options.width // page.width), Image.Resampling.LANCZOS)
+    with whole_file(options.out) as file:
+        page.quantize(COLORS).save(file, "PNG", optimize=True)
     return 0
 
 

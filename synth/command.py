@@ -37,7 +37,7 @@ RATE = 10.0
 
 
 def synth(subject: str, out: Path, config: SynthConfig) -> dict:
-    """Write the capture folder of a subject ("builtin", "builtin:female", "builtin:SEED" or a file); returns its capture.json.
+    """Write the capture folder of a subject ("builtin", "builtin:female", "builtin:12", a file); returns capture.json.
 
     Raises:
         AssetError: the subject cannot be read, or the folder not be written.

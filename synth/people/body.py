@@ -18,10 +18,10 @@ from avatar.body import Body, builtin_body, shaped
 from avatar.skeleton import JOINTS
 from avatar.skinning import dense_weights
 from capture.template.eyes import fit_sphere, socket_spheres
-from geometry.mesh import component_labels, neighbour_matrix, vertex_normals
+from geometry.mesh import component_labels, vertex_normals
 from synth.people.cloth import Picture
 from synth.people.looks import Looks
-from synth.people.mesh import Piece, smoothstep
+from synth.people.mesh import Piece, half_step, smoothstep
 from synth.subject import SynthSubject, read_subject
 
 BODY, HEAD, EYEBALL = range(3)  # pictures of the built-in people
@@ -45,9 +45,9 @@ def figure(looks: Looks) -> Body:
     """The free body in the person's shape and height."""
     body = shaped(builtin_body(looks.sex), np.array(looks.betas))
     fat = dense_weights(body.skin) @ [FLESH.get(name.rpartition("_")[2], 0.0) for name in JOINTS]
-    near, calm = neighbour_matrix(body.faces, len(body.vertices)), body.vertices
+    step, calm = half_step(body.faces, len(body.vertices)), body.vertices
     for _ in range(40):
-        calm = 0.5 * (calm + near @ calm / near.sum(1).A1[:, None])
+        calm = step @ calm
     vertices = body.vertices + looks.heavy * fat[:, None] * vertex_normals(calm, body.faces)
     scale = looks.stature / np.ptp(vertices[:, 1])
     return replace(body, vertices=scale * vertices, joints=scale * body.joints)
@@ -87,7 +87,7 @@ def chart(body: Body) -> tuple[Int[Array, "faces"], Float[Array, "faces 3 2"]]:
 
 
 def inside_line(line: Float[Array, "2 n"], places: Float[Array, "*m 2"]) -> Float[Array, "*m"]:
-    """Metres on the crown's side of a line of the head's picture, about; -1 in mouth and sockets, tucked in its corner."""
+    """Metres above a line of the head's picture, about; -1 in mouth and sockets, tucked in its corner."""
     inside = HEIGHT * (np.interp(np.abs(places[..., 1] - 0.5), *line) - places[..., 0])
     return np.where((places < 0.032).all(-1), -1.0, inside)
 
@@ -114,8 +114,8 @@ def head_picture(painted: Picture, looks: Looks) -> Picture:
     """The painted face in another skin; where hair grows the bald scalp, or the ground color of hair."""
     places = _places()
     aside = np.abs(places[..., 1] - 0.5)
-    covered = smoothstep(-1, 0, inside_line(PAINTED_HAIR, places) / np.interp(aside, [0.3, 0.4], [0.01, 0.03]))
-    covered = np.maximum(covered, smoothstep(0, 0.15, places[..., 0] - np.interp(aside, *NECK)))[..., None]
+    covered = smoothstep(-1.0, 0.0, inside_line(PAINTED_HAIR, places) / np.interp(aside, [0.3, 0.4], [0.01, 0.03]))
+    covered = np.maximum(covered, smoothstep(0.0, 0.15, places[..., 0] - np.interp(aside, *NECK)))[..., None]
     color = _toned(painted, looks) * (1 - covered) + _plain(looks, 3) * covered
     if looks.hair != "bald":
         grown = smoothstep(0.001, 0.008, inside_line(HAIRLINE, places))[..., None]

@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 
 from synth.people.looks import Cloth, Color
 
-Picture = UInt8[Array, "height width 3"]
+Picture = UInt8[Array, "_ _ 3"]
 Mask = Float[Array, "size size"]
 
 SIZE = 512  # pixels of a picture
@@ -33,9 +33,9 @@ def cloth_picture(cloth: Cloth, seed: int) -> Picture:
         for k, (cx, cy) in enumerate(_spread(count, rng)):
             dx, dy = (x - cx + 0.5) % 1 - 0.5, (y - cy + 0.5) % 1 - 0.5
             r, turn = np.hypot(dx, dy) / (radius * rng.uniform(0.75, 1.2)), np.arctan2(dy, dx) + rng.uniform(0, 6.28)
-            color = _motif(color, cloth.pattern, r, turn, (first if k % 3 else second, second, ground))
+            color = _motif(color, cloth.pattern, r, turn, np.array([first if k % 3 else second, second, ground]))
     twill = 0.05 * np.cos(2 * np.pi * 128 * (x + y)) if cloth.pattern == "denim" else 0
-    tone = 1 + 0.02 * _noise(rng, 0.8) + twill + 0.025 * _noise(rng, 45)
+    tone = 1 + 0.02 * _noise(rng, 0.8) + twill + 0.025 * _noise(rng, 45.0)
     return np.clip(np.round(color * tone[..., None]), 0, 255).astype(np.uint8)
 
 
@@ -57,7 +57,7 @@ def _motif(color: Float[Array, "size size 3"], pattern: str, r: Mask, turn: Mask
 def strands(color: Color, seed: int, curl: bool) -> Picture:
     """Hair: strands that run down, in locks; or curls."""
     rng = np.random.default_rng([seed, 78])
-    kinds = ((3, 0.9), (1.2, 0.5)) if curl else (((90, 0.7), 0.45), ((90, 2.0), 0.45), ((90, 9.0), 0.4))
+    kinds = ((3.0, 0.9), (1.2, 0.5)) if curl else (((90.0, 0.7), 0.45), ((90.0, 2.0), 0.45), ((90.0, 9.0), 0.4))
     tone = np.sum([strength * _noise(rng, width) for width, strength in kinds], 0)
     shade = np.clip(0.86 + 0.32 * tone, 0.3, 1.7)[..., None]
     return np.clip(np.round(np.array(color) * shade + 14 * np.maximum(shade - 1.1, 0)), 0, 255).astype(np.uint8)

@@ -8,18 +8,29 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
 from avatar.body import Body
 from avatar.skinning import dense_weights
-from geometry.mesh import compact, neighbour_matrix, vertex_normals
+from geometry.mesh import compact, vertex_normals
 from synth.people.cloth import TILE, Picture, cloth_picture
 from synth.people.looks import Cloth, Looks
-from synth.people.mesh import Piece, hemmed, loft, reach, shell, smoothstep, trimmed, unrolled, waves
+from synth.people.mesh import (
+    Piece,
+    half_step,
+    hemmed,
+    in_four,
+    loft,
+    reach,
+    shell,
+    smoothstep,
+    trimmed,
+    unrolled,
+    waves,
+)
 
 Region = Callable[[Float[Array, "n 3"]], Float[Array, "n"]]
 
@@ -27,12 +38,6 @@ RINGS, AROUND = 44, 144  # of what hangs
 THICK = 0.0025
 # half steps of smoothing over which skin weights of what hangs are blended: about 10 cm
 BLENDED = 100
-
-
-def half_step(faces: Int[Array, "faces 3"], count: int) -> csr_matrix:
-    """The matrix that moves values on a mesh half of the way to the mean of their neighbours."""
-    near = neighbour_matrix(faces, count)
-    return csr_matrix(0.5 * (diags(1 / np.maximum(near.sum(1).A1, 1)) @ near + diags(np.ones(count))))
 
 
 @dataclass(frozen=True)
@@ -59,9 +64,8 @@ def dressing_figure(body: Body) -> Figure:
     clad = (dense[:, 15] < 0.6) & (np.abs(x) < np.abs(body.joints[20:22, 0]).mean() + 0.03)
     clad &= y > body.joints[7, 1] - 0.03
     mesh, kept = compact(body.vertices, body.faces[clad[body.faces].all(1)])
-    fine, faces, values = trimesh.remesh.subdivide(*mesh, vertex_attributes={"weights": dense[kept]})
-    points = np.asarray(fine)
-    figure = Figure(body.joints, points, faces, values["weights"], points, half_step(faces, len(points)))
+    faces, (points, weights) = in_four(mesh.faces, mesh.vertices, dense[kept])
+    figure = Figure(body.joints, points, faces, weights, points, half_step(faces, len(points)))
     calm = figure.smoothed(points, 3)
     return replace(figure, points=calm, normals=vertex_normals(figure.smoothed(calm, 25), faces))
 
@@ -121,7 +125,7 @@ def hung(
         off = lift(points, obstacle)
         points = np.where(free, points + (np.clip(off, ease, ease + 0.025) - off) * normals, points)
     rng, y = np.random.default_rng([seed, 31]), base[:, 1]
-    ridge = 0.55 * waves(base, (16, 26, 16), rng) + 0.45 * waves(base, (34, 50, 34), rng)
+    ridge = 0.55 * waves(base, (16.0, 26.0, 16.0), rng) + 0.45 * waves(base, (34.0, 50.0, 34.0), rng)
     slack = 0.4 + np.exp(-(((y - joints[4, 1]) / 0.1) ** 2)) + np.exp(-(((y - joints[0, 1]) / 0.12) ** 2))
     points = np.where(free, points + (folds * slack * np.maximum(ridge, -0.8))[:, None] * normals, points)
     faces, (points, base, normals, weights) = trimmed(inside, figure.faces, [points, base, normals, figure.weights])
@@ -153,7 +157,7 @@ def _places(
     (x, y, z), middle = base.T, base[faces].mean(1)
     # over the shoulders cloth runs on outwards
     fall = np.clip(normals[:, 1], 0, 1) ** 4 * np.abs(x) - y
-    uv = unrolled(np.arctan2(x, z - joints[3, 2]), fall / TILE, faces, 4)
+    uv = unrolled(np.arctan2(x, z - joints[3, 2]), fall / TILE, faces, 4.0)
     arm = (np.abs(middle[:, 0]) > np.abs(joints[16, 0]) + 0.01) & (middle[:, 1] > joints[0, 1] + 0.15)
     about = np.arctan2(z - joints[18, 2], y - joints[18, 1])
     uv[arm] = unrolled(about, np.abs(x) / TILE, faces[arm], 0.36 / TILE)
@@ -178,11 +182,11 @@ def hanging(
     middle, least, rings = np.array([0, 0, figure.joints[1:3, 2].mean()]), np.zeros(len(angle)), []
     fold = np.cos(int(rng.integers(7, 12)) * angle + rng.uniform(0, 6) + 1.2 * np.sin(2 * angle)) + 0.5
     shares = np.linspace(0, 1, RINGS)
-    heights = top + shares * (hem - top)
-    for y, share in zip(heights, shares, strict=True):
+    heights, bent = top + shares * (hem - top), smoothstep(0.05, 0.9, shares)
+    for y, share, depth in zip(heights, shares, bent, strict=True):
         level = (under[np.abs(under[:, 1] - y) < 0.014] - middle)[:, [0, 2]]
         least = np.maximum(least, reach(level[np.abs(level[:, 0]) < 0.35], angle) + 0.005)
-        radius = least + flare * (share + 0.14 * smoothstep(0.05, 0.9, share) * fold)
+        radius = least + flare * (share + 0.14 * depth * fold)
         radius = radius + 0.009 * open_front * (angle - start) / turn
         rings.append(middle + np.stack([np.sin(angle) * radius, np.full(len(angle), y), np.cos(angle) * radius], 1))
     out = np.array(rings)
@@ -213,7 +217,7 @@ def dress(body: Body, looks: Looks) -> tuple[list[Piece], Bool[Array, "vertices"
         end = leg_height(joints, share)
         regions.append(lambda p: np.minimum(waist - 0.02 - p[:, 1], p[:, 1] - end))
         pieces.append(hung(figure, regions[1], ease, 0.002, bottom, seed + 2, flare))
-    loose = 0.008 + 0.008 * smoothstep(waist + 0.1, hip, y) + 0.005 * smoothstep(0, 0.1, np.abs(x) - joints[16, 0])
+    loose = 0.008 + 0.008 * smoothstep(waist + 0.1, hip, y) + 0.005 * smoothstep(0.0, 0.1, np.abs(x) - joints[16, 0])
     if coat:
         over = coat_region(joints, waist)
         shirt = regions[0]

@@ -1,11 +1,10 @@
 """Hair: a cap that grows inside the hairline, and what hangs or is tied from it; every piece is a closed volume.
 
-Long hair is a curtain of strands that leave the head where it is widest, fall, and slide over what they meet (shoulders,
-collar); it is open below and in front. Frame: pose 0, pelvis at the origin, metres.
+Long hair is a curtain of strands that leave the head where it is widest, fall, and slide over shoulders and
+collar; open below and in front. Frame: pose 0, pelvis at the origin, metres.
 """
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.spatial import KDTree
@@ -16,7 +15,7 @@ from geometry.mesh import TriangleMesh, compact, concatenated, vertex_normals
 from synth.people.body import HAIRLINE, HEAD, chart, inside_line
 from synth.people.cloth import Picture, strands
 from synth.people.looks import Looks
-from synth.people.mesh import Piece, ended, loft, reach, shell, smoothstep, trimmed, tube, unrolled, waves
+from synth.people.mesh import Piece, ended, in_four, loft, reach, shell, smoothstep, trimmed, tube, unrolled, waves
 
 SKULL, NECK, CHEST = (JOINTS.index(name) for name in ("head", "neck", "spine3"))
 TILE = 0.16  # metres of a picture
@@ -54,17 +53,17 @@ def _cap(body: Body, looks: Looks, picture: Picture) -> Piece:
     rows, inside = np.flatnonzero(number == HEAD), np.full(len(body.vertices), -1.0)
     inside[body.faces[rows]] = inside_line(HAIRLINE, uv[rows])
     mesh, kept = compact(body.vertices, body.faces[rows[(inside[body.faces[rows]] > -0.05).all(1)]])
-    fine, faces, values = trimesh.remesh.subdivide(*mesh, vertex_attributes={"inside": inside[kept, None]})
-    points, rng = np.asarray(fine), np.random.default_rng([looks.seed, 51])
-    ragged = values["inside"] + 0.0018 * waves(points, (220, 60, 160), rng)[:, None]
+    faces, (points, grown) = in_four(mesh.faces, mesh.vertices, inside[kept, None])
+    rng = np.random.default_rng([looks.seed, 51])
+    ragged = grown + 0.0018 * waves(points, (220.0, 60.0, 160.0), rng)[:, None]
     faces, (points, normals, ragged) = trimmed(ragged[:, 0], faces, [points, vertex_normals(points, faces), ragged])
     curly, low = looks.hair == "curly", 0.3 if looks.hair == "short" else 0.55
     high = smoothstep(-0.02, 0.07, points[:, 1] - body.joints[SKULL, 1] - 0.09)
-    rough = 1 + (0.22 if curly else 0.1) * waves(points, (150, 150, 150) if curly else (60, 20, 20), rng)
+    rough = 1 + (0.22 if curly else 0.1) * waves(points, (150.0, 150.0, 150.0) if curly else (60.0, 20.0, 20.0), rng)
     thick = 0.002 + CAP[looks.hair] * (low + (1 - low) * high) * rough * smoothstep(-0.012, 0.045, ragged[:, 0])
     out = points - points.mean(0)
     crown = np.arccos(np.clip(out @ [0, 0.9, -0.43] / np.linalg.norm(out, axis=1), -1, 1))
-    uv = unrolled(np.arctan2(out[:, 0], out[:, 2]), 0.1 / TILE * crown, faces, 4)
+    uv = unrolled(np.arctan2(out[:, 0], out[:, 2]), 0.1 / TILE * crown, faces, 4.0)
     weights = np.tile(np.eye(52)[SKULL], (len(points), 1))
     return shell(Piece("hair", points + thick[:, None] * normals, faces, uv, weights, picture), thick + 0.002)
 
@@ -136,8 +135,8 @@ def _curtain(
     points, faces, uv = loft(sheet, 0.1 * angle / TILE, share[:, 0] * (middle[1] - end) / TILE)
     # thin at its beginning, its tips and its sides; in locks
     aside = np.minimum(angle - span[0], span[1] - angle) / (span[1] - span[0])
-    half = 0.002 + 0.0105 * smoothstep(0, 0.3, share) * smoothstep(1.02, 0.8, share) * smoothstep(0, 0.14, aside)
-    half = half.ravel() * (1 + 0.25 * waves(np.c_[np.tile(angle, len(sheet)), points[:, 1]], (14, 6), rng))
+    half = 0.002 + 0.0105 * smoothstep(0.0, 0.3, share) * smoothstep(1.02, 0.8, share) * smoothstep(0.0, 0.14, aside)
+    half = half.ravel() * (1 + 0.25 * waves(np.c_[np.tile(angle, len(sheet)), points[:, 1]], (14.0, 6.0), rng))
     outer = points + half[:, None] * vertex_normals(points, faces)
     return shell(Piece("hair", outer, faces, uv, solid.weights(points), picture), 2 * half)
 

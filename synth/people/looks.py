@@ -62,7 +62,7 @@ def draw(seed: int) -> Looks:
     turn, sex = seed // 2, ("male", "female")[seed % 2]
     woman, wear, ancestry = sex == "female", WEAR[sex][turn % 6], int(rng.integers(3))
     weight = (turn * 0.382 + 0.25 * woman + rng.uniform(0, 0.1)) % 1
-    heavy, betas = 2 * max(weight - 0.5, 0), rng.uniform(0, 1, 10)
+    heavy, betas = 2 * max(weight - 0.5, 0.0), rng.uniform(0, 1, 10)
     # height, weight, muscle, thinness, age, two ancestries, two of proportions, the other sex
     chosen = [0, heavy, 1, max(0.3 - weight, 0) / 0.3, turn % 3 == 0, ancestry == 1, ancestry == 2, 1, 1, 0]
     betas = np.array([0, 2, 2 * betas[2], 2.4, 0.9, 1.2 + 0.8 * betas[5], 1.2 + 0.8 * betas[6], 1.5, 1.2, 0]) * chosen

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
+from scipy.sparse import csr_matrix, diags
 from scipy.spatial import ConvexHull
 
-from geometry.mesh import half_edges, vertex_normals
+from geometry.mesh import half_edges, neighbour_matrix, vertex_normals
 from synth.people.cloth import Picture
 
 Loft = tuple[Float[Array, "points 3"], Int[Array, "faces 3"], Float[Array, "faces 3 2"]]
@@ -27,6 +28,23 @@ class Piece:
     uv: Float[Array, "faces 3 2"]  # v runs down; beyond 0 and 1 the picture repeats
     weights: Float[Array, "points 52"]
     picture: Picture
+
+
+def half_step(faces: Int[Array, "faces 3"], count: int) -> csr_matrix:
+    """The matrix that moves values on a mesh half of the way to the mean of their neighbours."""
+    near = neighbour_matrix(faces, count)
+    degree = np.maximum(np.asarray(near.sum(1)).ravel(), 1)
+    return csr_matrix(0.5 * (diags(1 / degree) @ near + diags(np.ones(count))))
+
+
+def in_four(
+    faces: Int[Array, "faces 3"], *values: Float[Array, "points _"]
+) -> tuple[Int[Array, "more 3"], list[Float[Array, "all _"]]]:
+    """Every face in four, and the values at the points and, their means, at the middles of edges."""
+    edges, index = np.unique(np.sort(half_edges(faces), 1), axis=0, return_inverse=True)
+    (a, b, c), (ab, bc, ca) = faces.T, len(values[0]) + index.reshape(3, -1)
+    corners = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+    return np.concatenate([np.stack(corner, 1) for corner in corners]), [np.r_[v, v[edges].mean(1)] for v in values]
 
 
 def rim_edges(faces: Int[Array, "faces 3"], count: int) -> tuple[Bool[Array, "3*faces"], Int[Array, "rim 2"]]:
@@ -118,7 +136,7 @@ def unrolled(
 
 def trimmed(
     inside: Float[Array, "points"], faces: Int[Array, "faces 3"], values: Sequence[Float[Array, "points _"]]
-) -> tuple[Int[Array, "kept 3"], list[Float[Array, "kept _"]]]:
+) -> tuple[Int[Array, "left 3"], list[Float[Array, "kept _"]]]:
     """The part of a mesh where `inside` is positive, its edge on the zero line: faces, and the values of its points.
 
     A point outside slides along the edge to its innermost neighbour until it meets the line.
