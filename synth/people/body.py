@@ -161,6 +161,6 @@ def _eyes(body: Body, looks: Looks, worn: SynthSubject) -> Piece:
     tone = picture.mean(2, keepdims=True)
     # not the reflection
     iris = (away > 0.122) & (away < 0.2) & (tone < 225)
-    picture = np.clip(np.where(iris, tone / 105 * looks.iris, picture), 0, 255).astype(np.uint8)
+    picture = np.clip(np.where(iris, tone / 120 * looks.iris, picture), 0, 255).astype(np.uint8)
     weights = np.tile(np.eye(52)[15], (len(used), 1))
     return Piece("eye", points, index.reshape(-1, 3), worn.uv[faces].astype(np.float64), weights, picture)

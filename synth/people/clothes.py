@@ -210,8 +210,8 @@ def dress(body: Body, looks: Looks) -> tuple[list[Piece], Bool[Array, "vertices"
     top, bottom = cloth_picture(looks.top, seed), cloth_picture(looks.bottom, seed + 1)
     second = cloth_picture(Cloth("plain", looks.top.colors[1:] + looks.top.colors[:1]), seed)
     pieces, regions = [], [top_region(joints, looks.sleeve, hip + (0.02 if tucked else -0.03), 0.8 if woman else 0.5)]
-    legs = {"tight": (1.93, 0.003 if woman else 0.009, 0.0), "wide": (2.0, 0.008, 0.02 + 0.35 * looks.flare),
-            "coat": (1.95, 0.005, 0.0), "shorts": (looks.hem, 0.009, 0.0)}  # fmt: skip
+    legs = {"wide": (2.0, 0.008, 0.02 + 0.35 * looks.flare), "shorts": (looks.hem, 0.009, 0.0)}
+    legs |= dict.fromkeys(("tight", "coat"), (1.93, 0.003, 0.0) if woman else (1.97, 0.009, 0.004))
     if looks.wear in legs:
         share, ease, flare = legs[looks.wear]
         end = leg_height(joints, share)

@@ -57,9 +57,11 @@ def _cap(body: Body, looks: Looks, picture: Picture) -> Piece:
     rng = np.random.default_rng([looks.seed, 51])
     ragged = grown + 0.0018 * waves(points, (220.0, 60.0, 160.0), rng)[:, None]
     faces, (points, normals, ragged) = trimmed(ragged[:, 0], faces, [points, vertex_normals(points, faces), ragged])
-    curly, low = looks.hair == "curly", 0.3 if looks.hair == "short" else 0.55
+    curly, short = looks.hair == "curly", looks.hair == "short"
+    low = 0.3 if short else 0.55
     high = smoothstep(-0.02, 0.07, points[:, 1] - body.joints[SKULL, 1] - 0.09)
-    rough = 1 + (0.22 if curly else 0.1) * waves(points, (150.0, 150.0, 150.0) if curly else (60.0, 20.0, 20.0), rng)
+    scale = (150.0, 150.0, 150.0) if curly else (110.0, 60.0, 60.0) if short else (60.0, 20.0, 20.0)
+    rough = 1 + (0.1 if not (curly or short) else 0.24) * waves(points, scale, rng)
     thick = 0.002 + CAP[looks.hair] * (low + (1 - low) * high) * rough * smoothstep(-0.012, 0.045, ragged[:, 0])
     out = points - points.mean(0)
     crown = np.arccos(np.clip(out @ [0, 0.9, -0.43] / np.linalg.norm(out, axis=1), -1, 1))

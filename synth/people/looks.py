@@ -19,7 +19,7 @@ HAIRS = ((34, 26, 22), (58, 38, 26), (96, 60, 34), (146, 92, 48), (196, 156, 98)
 IRISES = ((98, 62, 34), (70, 44, 28), (88, 128, 158), (92, 118, 72), (126, 98, 50))
 CLOTHS = (
     (178, 44, 48), (36, 60, 112), (232, 226, 214), (44, 104, 84), (228, 178, 66), (92, 58, 112), (214, 122, 138),
-    (52, 50, 54), (96, 146, 186), (166, 102, 62), (206, 198, 178), (122, 132, 92),
+    (52, 50, 54), (96, 146, 186), (30, 112, 124), (206, 198, 178), (122, 132, 92),
 )  # fmt: skip
 PATTERNS = ("flowers", "stripes", "check", "dots", "leaves", "plain")
 
@@ -60,12 +60,14 @@ def draw(seed: int) -> Looks:
     """The person of a seed."""
     rng = np.random.default_rng([seed, 2026])
     turn, sex = seed // 2, ("male", "female")[seed % 2]
-    woman, wear, ancestry = sex == "female", WEAR[sex][turn % 6], int(rng.integers(3))
+    woman, wear, weave = sex == "female", WEAR[sex][turn % 6], ("plain", "denim", "check")[int(rng.integers(3))]
+    ancestry = (turn + 2 * woman) % 3
     weight = (turn * 0.382 + 0.25 * woman + rng.uniform(0, 0.1)) % 1
     heavy, betas = 2 * max(weight - 0.5, 0.0), rng.uniform(0, 1, 10)
     # height, weight, muscle, thinness, age, two ancestries, two of proportions, the other sex
-    chosen = [0, heavy, 1, max(0.3 - weight, 0) / 0.3, turn % 3 == 0, ancestry == 1, ancestry == 2, 1, 1, 0]
-    betas = np.array([0, 2, 2 * betas[2], 2.4, 0.9, 1.2 + 0.8 * betas[5], 1.2 + 0.8 * betas[6], 1.5, 1.2, 0]) * chosen
+    chosen = [0, heavy, 1, max(0.3 - weight, 0) / 0.3, turn % 3 == 0, ancestry == 1, ancestry == 2]
+    chosen += [1 - 0.6 * (turn % 2), 1 - turn % 4 / 4, turn % 4 == 3]
+    betas = np.array([0, 2, 2 * betas[2], 2.4, 0.9, 1.2 + 0.8 * betas[5], 1.2 + 0.8 * betas[6], 1.5, 1.2, 0.5]) * chosen
     fair = ancestry != 1
     return Looks(
         seed=seed, sex=sex, betas=tuple(betas.tolist()), heavy=heavy,
@@ -77,7 +79,7 @@ def draw(seed: int) -> Looks:
         hem={"dress": 1.1, "skirt": 0.8, "coat": 0.95, "shorts": 0.75}.get(wear, 2.0) + float(rng.uniform(-0.2, 0.2)),
         flare=float(rng.uniform(0.03, 0.14)), heel=float(woman and turn % 3 != 1) * float(rng.uniform(0.35, 0.6)),
         top=_cloth(rng, PATTERNS[(turn + 3 * (not woman)) % 6]),
-        bottom=_cloth(rng, ("plain", "denim", "plain", "check")[turn % 4]), shoe=CLOTHS[int(rng.integers(12))],
+        bottom=_cloth(rng, weave), shoe=CLOTHS[int(rng.integers(12))],
     )  # fmt: skip
 
 
