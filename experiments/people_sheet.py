@@ -23,7 +23,7 @@ from synth.photo import Studio
 
 SIDES = (0, 90, 180, 270)  # degrees that the person has turned
 GROUND = 232
-COLORS = 128
+COLORS = 256
 
 
 def tiles(studio: Studio, side: int) -> list[UInt8[np.ndarray, "side _ 3"]]:
@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("seeds", type=int, nargs="*", default=list(range(1, 13)))
     parser.add_argument("--side", type=int, default=512, help="pixels of a picture")
-    parser.add_argument("--width", type=int, default=1600, help="pixels of the sheet")
+    parser.add_argument("--width", type=int, default=1400, help="pixels of the sheet")
     options = parser.parse_args(argv)
     context = open_context()
     rasteriser = Rasteriser(context)
