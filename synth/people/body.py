@@ -21,7 +21,7 @@ from capture.template.eyes import fit_sphere, socket_spheres
 from geometry.mesh import component_labels, vertex_normals
 from synth.people.cloth import Picture
 from synth.people.looks import Looks
-from synth.people.mesh import Piece, half_step, smoothstep
+from synth.people.mesh import PersonPiece, half_step, smoothstep
 from synth.subject import SynthSubject, read_subject
 
 BODY, HEAD, EYEBALL = range(3)  # pictures of the built-in people
@@ -92,7 +92,7 @@ def inside_line(line: Float[Array, "2 n"], places: Float[Array, "*m 2"]) -> Floa
     return np.where((places < 0.032).all(-1), -1.0, inside)
 
 
-def skin_pieces(body: Body, looks: Looks, worn: SynthSubject, hidden: Bool[Array, "vertices"]) -> list[Piece]:
+def skin_pieces(body: Body, looks: Looks, worn: SynthSubject, hidden: Bool[Array, "vertices"]) -> list[PersonPiece]:
     """Body, head and eyes, without the faces whose corners are all `hidden`; `worn`: the built-in person."""
     number, uv = chart(body)
     weights, shown = dense_weights(body.skin), ~hidden[body.faces].all(1)
@@ -101,7 +101,7 @@ def skin_pieces(body: Body, looks: Looks, worn: SynthSubject, hidden: Bool[Array
     limbs = body_picture(worn.textures[BODY], looks, uv[number == BODY], past[body.faces[number == BODY]])
     pictures = {BODY: limbs, HEAD: head_picture(worn.textures[HEAD], looks)}
     rows = {part: np.flatnonzero((number == part) & shown) for part in pictures}
-    return [Piece("skin", body.vertices, body.faces[rows[part]], uv[rows[part]], weights, picture)
+    return [PersonPiece("skin", body.vertices, body.faces[rows[part]], uv[rows[part]], weights, picture)
             for part, picture in pictures.items()] + [_eyes(body, looks, worn)]  # fmt: skip
 
 
@@ -146,7 +146,7 @@ def _plain(looks: Looks, seed: int) -> Float[Array, "size size 3"]:
     return 0.93 * np.array(looks.skin) * (1 + tone * [0.012, 0.018, 0.018])
 
 
-def _eyes(body: Body, looks: Looks, worn: SynthSubject) -> Piece:
+def _eyes(body: Body, looks: Looks, worn: SynthSubject) -> PersonPiece:
     """The painted eyeballs of the built-in person, put in the sockets, with another iris."""
     assert worn.eye is not None
     faces = worn.faces[worn.eye[worn.faces].all(1)]
@@ -163,4 +163,4 @@ def _eyes(body: Body, looks: Looks, worn: SynthSubject) -> Piece:
     iris = (away > 0.122) & (away < 0.2) & (tone < 225)
     picture = np.clip(np.where(iris, tone / 120 * looks.iris, picture), 0, 255).astype(np.uint8)
     weights = np.tile(np.eye(52)[15], (len(used), 1))
-    return Piece("eye", points, index.reshape(-1, 3), worn.uv[faces].astype(np.float64), weights, picture)
+    return PersonPiece("eye", points, index.reshape(-1, 3), worn.uv[faces].astype(np.float64), weights, picture)

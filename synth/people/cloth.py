@@ -5,7 +5,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 from scipy.ndimage import gaussian_filter
 
-from synth.people.looks import Cloth, Color
+from synth.people.looks import Color, Fabric
 
 Picture = UInt8[Array, "_ _ 3"]
 Mask = Float[Array, "size size"]
@@ -16,7 +16,7 @@ TILE = 0.24  # metres that it covers
 MOTIFS = {"dots": (26, 0.045), "flowers": (13, 0.085), "leaves": (20, 0.07)}
 
 
-def cloth_picture(cloth: Cloth, seed: int) -> Picture:
+def cloth_picture(cloth: Fabric, seed: int) -> Picture:
     """A cloth."""
     rng = np.random.default_rng([seed, 77])
     y, x = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE

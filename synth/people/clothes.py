@@ -17,9 +17,9 @@ from avatar.body import Body
 from avatar.skinning import dense_weights
 from geometry.mesh import compact, vertex_normals
 from synth.people.cloth import TILE, Picture, cloth_picture
-from synth.people.looks import Cloth, Looks
+from synth.people.looks import Fabric, Looks
 from synth.people.mesh import (
-    Piece,
+    PersonPiece,
     half_step,
     hemmed,
     in_four,
@@ -34,7 +34,8 @@ from synth.people.mesh import (
 
 Region = Callable[[Float[Array, "n 3"]], Float[Array, "n"]]
 
-RINGS, AROUND = 44, 144  # of what hangs
+# rings of what hangs, and their points
+RINGS, AROUND = 44, 144
 THICK = 0.0025
 # half steps of smoothing over which skin weights of what hangs are blended: about 10 cm
 BLENDED = 100
@@ -48,7 +49,7 @@ class Figure:
     points: Float[Array, "points 3"]
     faces: Int[Array, "faces 3"]
     weights: Float[Array, "points 52"]
-    normals: Float[Array, "points 3"]  # of the smoothed surface
+    normals: Float[Array, "points 3"]  # those of the smoothed surface
     step: csr_matrix
 
     def smoothed(self, values: Float[Array, "points n"], steps: int) -> Float[Array, "points n"]:
@@ -104,7 +105,7 @@ def leg_height(joints: Float[Array, "52 3"], share: float) -> float:
 def hung(
     figure: Figure, region: Region, ease: Float[Array, "points"] | float, folds: float, picture: Picture, seed: int,
     flare: float = 0.0,
-) -> Piece:  # fmt: skip
+) -> PersonPiece:  # fmt: skip
     """A garment on the body's surface, closed.
 
     The smoothest surface outside skin + ease: a membrane on an obstacle, relaxed, so that it rests on what is round and
@@ -131,7 +132,7 @@ def hung(
     faces, (points, base, normals, weights) = trimmed(inside, figure.faces, [points, base, normals, figure.weights])
     _hang_legs(points, base, joints, flare)
     points = hemmed(points, faces)
-    return shell(Piece("cloth", points, faces, _places(base, normals, faces, joints), weights, picture), THICK)
+    return shell(PersonPiece("cloth", points, faces, _places(base, normals, faces, joints), weights, picture), THICK)
 
 
 def _hang_legs(
@@ -170,7 +171,7 @@ def _places(
 def hanging(
     figure: Figure, under: Float[Array, "n 3"], span: tuple[float, float], flare: float, picture: Picture, seed: int,
     open_front: bool = False,
-) -> Piece:  # fmt: skip
+) -> PersonPiece:  # fmt: skip
     """A skirt, or the skirts of a coat: one surface from one height down to another (`span`), open below; closed.
 
     A ring is the outline of what it hangs over (`under`), never narrower than those above, and flares with folds;
@@ -198,17 +199,17 @@ def hanging(
     for _ in range(BLENDED):
         # the waist stays where it is
         weights = np.where(points[:, 1:2] > top - 0.03, weights, step @ weights)
-    return shell(Piece("cloth", points, faces, uv, weights, picture), THICK)
+    return shell(PersonPiece("cloth", points, faces, uv, weights, picture), THICK)
 
 
-def dress(body: Body, looks: Looks) -> tuple[list[Piece], Bool[Array, "vertices"]]:
+def dress(body: Body, looks: Looks) -> tuple[list[PersonPiece], Bool[Array, "vertices"]]:
     """Everything but shoes, and the vertices of the body that it hides for good."""
     figure, joints, seed = dressing_figure(body), body.joints, looks.seed
     x, y, _ = figure.points.T
     hip, waist, woman = float(joints[1, 1]), float(joints[3, 1] + 0.01), looks.sex == "female"
     tucked, coat = looks.wear in ("dress", "skirt"), looks.wear == "coat"
     top, bottom = cloth_picture(looks.top, seed), cloth_picture(looks.bottom, seed + 1)
-    second = cloth_picture(Cloth("plain", looks.top.colors[1:] + looks.top.colors[:1]), seed)
+    second = cloth_picture(Fabric("plain", looks.top.colors[1:] + looks.top.colors[:1]), seed)
     pieces, regions = [], [top_region(joints, looks.sleeve, hip + (0.02 if tucked else -0.03), 0.8 if woman else 0.5)]
     legs = {"wide": (2.0, 0.008, 0.02 + 0.35 * looks.flare), "shorts": (looks.hem, 0.009, 0.0)}
     legs |= dict.fromkeys(("tight", "coat"), (1.93, 0.003, 0.0) if woman else (1.97, 0.009, 0.004))

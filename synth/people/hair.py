@@ -15,7 +15,19 @@ from geometry.mesh import TriangleMesh, compact, concatenated, vertex_normals
 from synth.people.body import HAIRLINE, HEAD, chart, inside_line
 from synth.people.cloth import Picture, strands
 from synth.people.looks import Looks
-from synth.people.mesh import Piece, ended, in_four, loft, reach, shell, smoothstep, trimmed, tube, unrolled, waves
+from synth.people.mesh import (
+    PersonPiece,
+    ended,
+    in_four,
+    loft,
+    reach,
+    shell,
+    smoothstep,
+    trimmed,
+    tube,
+    unrolled,
+    waves,
+)
 
 SKULL, NECK, CHEST = (JOINTS.index(name) for name in ("head", "neck", "spine3"))
 TILE = 0.16  # metres of a picture
@@ -34,7 +46,7 @@ CAP = {
 SPANS = {"long": [(1.5, 4.78)], "long front": [(0.85, 1.75), (1.6, 4.68), (4.53, 5.43)], "bob": [(0.9, 5.38)]}
 
 
-def hair_pieces(body: Body, looks: Looks, clothes: list[Piece]) -> list[Piece]:
+def hair_pieces(body: Body, looks: Looks, clothes: list[PersonPiece]) -> list[PersonPiece]:
     """All hair of a person; it falls over the clothes."""
     if looks.hair == "bald":
         return []
@@ -47,7 +59,7 @@ def hair_pieces(body: Body, looks: Looks, clothes: list[Piece]) -> list[Piece]:
     return [cap, *(_curtain(outside, solid, looks.seed, span, end, picture) for span in SPANS.get(looks.hair, []))]
 
 
-def _cap(body: Body, looks: Looks, picture: Picture) -> Piece:
+def _cap(body: Body, looks: Looks, picture: Picture) -> PersonPiece:
     """The hair on the scalp."""
     number, uv = chart(body)
     rows, inside = np.flatnonzero(number == HEAD), np.full(len(body.vertices), -1.0)
@@ -67,13 +79,13 @@ def _cap(body: Body, looks: Looks, picture: Picture) -> Piece:
     crown = np.arccos(np.clip(out @ [0, 0.9, -0.43] / np.linalg.norm(out, axis=1), -1, 1))
     uv = unrolled(np.arctan2(out[:, 0], out[:, 2]), 0.1 / TILE * crown, faces, 4.0)
     weights = np.tile(np.eye(52)[SKULL], (len(points), 1))
-    return shell(Piece("hair", points + thick[:, None] * normals, faces, uv, weights, picture), thick + 0.002)
+    return shell(PersonPiece("hair", points + thick[:, None] * normals, faces, uv, weights, picture), thick + 0.002)
 
 
 class _Solid:
     """The surface that hair falls on."""
 
-    def __init__(self, body: Body, clothes: list[Piece]):
+    def __init__(self, body: Body, clothes: list[PersonPiece]):
         # ears and face do not hold hair up
         below = compact(body.vertices, body.faces[(body.skin.heaviest[body.faces] != SKULL).all(1)])[0]
         mesh = concatenated([below, *(TriangleMesh(piece.points, piece.faces) for piece in clothes)])
@@ -115,7 +127,7 @@ class _Solid:
 
 def _curtain(
     cap: Float[Array, "n 3"], solid: _Solid, seed: int, span: tuple[float, float], end: float, picture: Picture
-) -> Piece:
+) -> PersonPiece:
     """Hair that hangs from the cap between two directions round the head to the height `end`."""
     angle = np.linspace(*span, 8 + int(11 * (span[1] - span[0])))
     middle = np.array([0, cap[:, 1].max(), 0.5 * (cap[:, 2].min() + cap[:, 2].max())])
@@ -140,10 +152,10 @@ def _curtain(
     half = 0.002 + 0.0105 * smoothstep(0.0, 0.3, share) * smoothstep(1.02, 0.8, share) * smoothstep(0.0, 0.14, aside)
     half = half.ravel() * (1 + 0.25 * waves(np.c_[np.tile(angle, len(sheet)), points[:, 1]], (14.0, 6.0), rng))
     outer = points + half[:, None] * vertex_normals(points, faces)
-    return shell(Piece("hair", outer, faces, uv, solid.weights(points), picture), 2 * half)
+    return shell(PersonPiece("hair", outer, faces, uv, solid.weights(points), picture), 2 * half)
 
 
-def _tied(cap: Float[Array, "n 3"], solid: _Solid, looks: Looks, picture: Picture) -> Piece:
+def _tied(cap: Float[Array, "n 3"], solid: _Solid, looks: Looks, picture: Picture) -> PersonPiece:
     """A bun behind the head, or a ponytail that falls down from there."""
     towards, turn = np.array([0, 0.42, -0.91]), 2 * np.pi * np.arange(28) / 28
     root = cap[(cap @ towards - 0.3 * np.abs(cap[:, 0])).argmax()] * [0, 1, 1]
@@ -161,4 +173,4 @@ def _tied(cap: Float[Array, "n 3"], solid: _Solid, looks: Looks, picture: Pictur
     run = np.linspace(0, 1, len(path) + 2)
     rings = ended(tube(path, size[:, None] * (1 + 0.07 * np.cos(7 * turn + 9 * run[1:-1, None]))))
     points, faces, uv = loft(rings, np.linspace(0, 1.5, 29), run * np.linalg.norm(path[0] - path[-1]) / TILE)
-    return Piece("hair", points, faces, uv, solid.weights(points), picture)
+    return PersonPiece("hair", points, faces, uv, solid.weights(points), picture)

@@ -25,7 +25,7 @@ PATTERNS = ("flowers", "stripes", "check", "dots", "leaves", "plain")
 
 
 @dataclass(frozen=True)
-class Cloth:
+class Fabric:
     """A pattern in its colors, the ground first."""
 
     pattern: str
@@ -45,14 +45,14 @@ class Looks:
     iris: Color
     hair: str  # see HAIR; of "long front" some hangs before the shoulders
     hair_color: Color
-    hair_length: float  # of long hair, below the neck's joint
+    hair_length: float  # how far long hair hangs below the neck's joint
     wear: str  # see WEAR; "tight" and "wide" are trousers
     sleeve: float  # 0: none; 1: to the elbow; 2: to the wrist
-    hem: float  # of skirt, dress, coat, shorts: share of the way from hip (0) over knee (1) to ankle (2)
+    hem: float  # where skirt, dress, coat, shorts end: share of the way from hip (0) over knee (1) to ankle (2)
     flare: float  # how far it stands off there
     heel: float  # angle of the foot, radians; 0: flat shoes
-    top: Cloth
-    bottom: Cloth
+    top: Fabric
+    bottom: Fabric
     shoe: Color
 
 
@@ -83,6 +83,6 @@ def draw(seed: int) -> Looks:
     )  # fmt: skip
 
 
-def _cloth(rng: np.random.Generator, pattern: str) -> Cloth:
+def _cloth(rng: np.random.Generator, pattern: str) -> Fabric:
     first, second, third = rng.choice(len(CLOTHS), 3, replace=False)
-    return Cloth(pattern, (CLOTHS[first], CLOTHS[second], CLOTHS[third]))
+    return Fabric(pattern, (CLOTHS[first], CLOTHS[second], CLOTHS[third]))

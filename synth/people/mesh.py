@@ -19,7 +19,7 @@ Loft = tuple[Float[Array, "points 3"], Int[Array, "faces 3"], Float[Array, "face
 
 
 @dataclass(frozen=True)
-class Piece:
+class PersonPiece:
     """Triangles that show one picture."""
 
     kind: str  # "skin", "eye", "hair", "cloth" or "shoe"
@@ -66,7 +66,7 @@ def hemmed(points: Float[Array, "points 3"], faces: Int[Array, "faces 3"], steps
     return points
 
 
-def shell(piece: Piece, thickness: Float[Array, "points"] | float) -> Piece:
+def shell(piece: PersonPiece, thickness: Float[Array, "points"] | float) -> PersonPiece:
     """The sheet closed: itself as the outside, an inside `thickness` under it, and a rim round every opening."""
     points, faces, count = piece.points, piece.faces, len(piece.points)
     inner = points - np.broadcast_to(thickness, count)[:, None] * vertex_normals(points, faces)

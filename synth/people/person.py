@@ -12,7 +12,7 @@ from synth.people.body import built_in, figure, skin_pieces
 from synth.people.clothes import dress
 from synth.people.hair import hair_pieces
 from synth.people.looks import Looks, draw
-from synth.people.mesh import Piece
+from synth.people.mesh import PersonPiece
 from synth.people.shoes import heel_pieces, in_shoes, raised, shoe_pieces
 from synth.subject import SynthSubject
 
@@ -24,7 +24,7 @@ def person(seed: int) -> SynthSubject:
     return subject_of(*made(draw(seed)), f"builtin:{seed}")
 
 
-def made(looks: Looks) -> tuple[list[Piece], Float[np.ndarray, "52 3"]]:
+def made(looks: Looks) -> tuple[list[PersonPiece], Float[np.ndarray, "52 3"]]:
     """All pieces of a person, and the joints; shoes, and their heels, come last."""
     body, worn = figure(looks), built_in(looks.sex)
     clothes, hidden = dress(body, looks)
@@ -37,7 +37,7 @@ def made(looks: Looks) -> tuple[list[Piece], Float[np.ndarray, "52 3"]]:
     return pieces + heel_pieces(pieces[-2:]), joint_transforms(raised(looks.heel), body.joints)[:, :3, 3]
 
 
-def subject_of(pieces: list[Piece], joints: Float[np.ndarray, "52 3"], name: str) -> SynthSubject:
+def subject_of(pieces: list[PersonPiece], joints: Float[np.ndarray, "52 3"], name: str) -> SynthSubject:
     """All pieces as one mesh; a vertex for each pair of a point and a texture coordinate."""
     rows, faces, start = [], [], 0
     for piece in pieces:

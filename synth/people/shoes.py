@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from avatar.body import Body
 from synth.people.cloth import Picture
 from synth.people.looks import Looks
-from synth.people.mesh import Piece, ended, loft, reach, smoothstep, tube
+from synth.people.mesh import PersonPiece, ended, loft, reach, smoothstep, tube
 
 AROUND = 64
 # how far they stand off the foot, sole first
@@ -27,14 +27,14 @@ def in_shoes(body: Body, looks: Looks) -> Bool[Array, "vertices"]:
     return body.vertices[:, 1] < body.vertices[:, 1].min() + shoe_height(looks) - 0.012
 
 
-def shoe_pieces(body: Body, looks: Looks) -> list[Piece]:
+def shoe_pieces(body: Body, looks: Looks) -> list[PersonPiece]:
     """A pair, closed, round flat feet."""
     picture = np.tile(np.array(looks.shoe, np.uint8), (32, 8, 1))
     picture[:8] = picture[:8] // 4 if looks.heel else (228, 224, 216)
     return [_shoe(body, side, shoe_height(looks), 0.006 if looks.heel else 0.016, picture) for side in (0, 1)]
 
 
-def _shoe(body: Body, side: int, height: float, sole: float, picture: Picture) -> Piece:
+def _shoe(body: Body, side: int, height: float, sole: float, picture: Picture) -> PersonPiece:
     ankle, ball = body.joints[7 + side], body.joints[10 + side]
     foot = body.vertices[(np.sign(body.vertices[:, 0]) == (1, -1)[side]) & (body.vertices[:, 1] < ankle[1] + 0.12)]
     ground = foot[:, 1].min()
@@ -60,10 +60,10 @@ def _shoe(body: Body, side: int, height: float, sole: float, picture: Picture) -
     weights[:, 10 + side] = toes = smoothstep(-0.03, 0.03, points[:, 2] - ball[2] + 0.01)
     weights[:, 4 + side] = shin = (1 - toes) * smoothstep(ankle[1] - 0.01, ankle[1] + 0.05, points[:, 1])
     weights[:, 7 + side] = 1 - toes - shin
-    return Piece("shoe", points, faces, uv, weights, picture)
+    return PersonPiece("shoe", points, faces, uv, weights, picture)
 
 
-def heel_pieces(shoes: list[Piece]) -> list[Piece]:
+def heel_pieces(shoes: list[PersonPiece]) -> list[PersonPiece]:
     """The pins under the heels of posed shoes, down to where their balls stand."""
     ground, pins = min(shoe.points[:, 1].min() for shoe in shoes), []
     for side, shoe in enumerate(shoes):
@@ -72,7 +72,9 @@ def heel_pieces(shoes: list[Piece]) -> list[Piece]:
         path = np.linspace(foot + [0, 0.012, 0.004], [foot[0], ground, foot[2] - 0.004], 8)
         radius = np.tile([[0.022], [0.021], [0.017], [0.0135], [0.011], [0.0095], [0.0085], [0.008]], 20)
         points, faces, uv = loft(ended(tube(path, radius)), np.zeros(21), np.full(10, 0.1))
-        pins.append(Piece("shoe", points, faces, uv, np.tile(np.eye(52)[7 + side], (len(points), 1)), shoe.picture))
+        pins.append(
+            PersonPiece("shoe", points, faces, uv, np.tile(np.eye(52)[7 + side], (len(points), 1)), shoe.picture)
+        )
     return pins
 
 

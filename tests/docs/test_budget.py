@@ -17,7 +17,7 @@ BUDGET = {
     "bake": 4_439,
     "player": 17_755,
     "shaders": 971,
-    "synth": 3_755,
+    "synth": 3_770,
     "bench": 5_514,
     "selfscan": 432,
     "tests": 32_780,

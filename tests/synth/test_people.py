@@ -12,7 +12,7 @@ from synth.light import STILL
 from synth.people.body import figure
 from synth.people.cloth import cloth_picture
 from synth.people.clothes import leg_height
-from synth.people.looks import HAIR, PATTERNS, WEAR, Cloth, draw
+from synth.people.looks import HAIR, PATTERNS, WEAR, Fabric, draw
 from synth.people.person import made, subject_of
 from synth.photo import Studio
 
@@ -124,7 +124,7 @@ def test_masks_and_parts_hold_hair_and_dress(woman, rasteriser):
 
 def test_pictures_of_cloth_repeat_without_a_seam():
     for pattern in (*PATTERNS, "denim"):
-        picture = cloth_picture(Cloth(pattern, ((200, 60, 60), (40, 60, 110), (230, 230, 220))), 5).astype(float)
+        picture = cloth_picture(Fabric(pattern, ((200, 60, 60), (40, 60, 110), (230, 230, 220))), 5).astype(float)
         for tile in (picture, picture.swapaxes(0, 1)):
             inner = np.abs(np.diff(tile, axis=0)).mean((1, 2))
             assert np.abs(tile[0] - tile[-1]).mean() <= inner.max() * 1.01
