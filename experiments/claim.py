@@ -26,6 +26,7 @@ from experiments.program import end_with, note
 from experiments.short_training import begun, share_in_words, total_steps, training_words
 from files.input_file import read_json_object
 from files.whole import write_json, write_text
+from synth.people.looks import draw
 from train.preset import PRESETS
 
 # minutes on two idle cores: of the raw videos, a second of turn at 360 px; of held-out pictures; of an import, a frame
@@ -51,6 +52,8 @@ class Options:
 def person_and_sex(name: str) -> tuple[str, str]:
     """What `synth` takes, and the free body that the fit begins with."""
     person, _, sex = name.partition(":")
+    if person == "builtin" and sex.isdecimal():
+        return name, draw(int(sex)).sex
     if sex not in ("", "male", "female"):
         raise AssetError(f"{name}: expected PERSON, PERSON:male or PERSON:female")
     return (name if person == "builtin" else person), sex or "male"

@@ -112,8 +112,9 @@ class Filming:
         subject = self.studio.subject
         self.visible = visible_faces(rasteriser, subject.vertices, subject.faces)
         self.sex = "female" if name.endswith(":female") else "male"
-        # scalps that hair hides are hair: what is left of the built-in people is some 3 cm short
-        bare = builtin_body(self.sex).vertices if name.startswith("builtin") else subject.vertices[~subject.hair]
+        # scalps that hair hides are hair: what is left of the two stored people is some 3 cm short
+        stored = name.removesuffix(f":{self.sex}") == "builtin"
+        bare = builtin_body(self.sex).vertices if stored else subject.vertices[~subject.hair]
         self.stature = float(np.ptp(bare[:, 1]))
 
     def seen(self, source: Source, seed: int, frames: int, size: int, *, outlines: bool) -> Seen:

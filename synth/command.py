@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,8 @@ from synth.film import Shots, disturbed, plan_videos, write_frames
 from synth.head_frame import cameras_in_head_frame, landmarks, seeded_similarity
 from synth.light import light_of
 from synth.options import RawConfig, SynthConfig
+from synth.people.body import built_in
+from synth.people.person import person
 from synth.photo import Studio
 from synth.raw.film import FILES, film_raw, mistakes_of, write_truth
 from synth.subject import SynthSubject, read_subject
@@ -36,7 +37,7 @@ RATE = 10.0
 
 
 def synth(subject: str, out: Path, config: SynthConfig) -> dict:
-    """Write the capture folder of a subject ("builtin", "builtin:female" or a file); returns its capture.json.
+    """Write the capture folder of a subject ("builtin", "builtin:female", "builtin:12", a file); returns capture.json.
 
     Raises:
         AssetError: the subject cannot be read, or the folder not be written.
@@ -119,15 +120,15 @@ def _rasteriser() -> Iterator[Rasteriser]:
 
 def load_subject(name: str) -> SynthSubject:
     """A subject by name or file."""
-    if not name.startswith("builtin"):
+    if name.partition(":")[0] != "builtin":
         return read_subject(Path(name))
-    _, _, sex = name.partition(":")
-    sex = sex or "male"
+    _, _, who = name.partition(":")
+    if who.isdecimal() and len(who) < 10:
+        return person(int(who))
+    sex = who or "male"
     if name not in ("builtin", f"builtin:{sex}") or sex not in ("male", "female"):
-        raise AssetError(f"{name}: expected builtin, builtin:female or a .glb, .gltf or .vrm file")
-    # painted by experiments/builtin
-    person = read_subject(Path(str(files("synth") / "data" / f"builtin_{sex}.glb")))
-    return replace(person, name=f"builtin:{sex}", notes=())
+        raise AssetError(f"{name}: expected builtin, builtin:female, builtin:SEED or a .glb, .gltf or .vrm file")
+    return replace(built_in(sex), name=f"builtin:{sex}", notes=())
 
 
 def _facts(person: SynthSubject, template: RegisteredTemplate, config: SynthConfig) -> dict:

@@ -58,7 +58,8 @@ class SynthCommand:
     """`selfscan synth`."""
 
     subject: Annotated[str, Option(positional=True, metavar="SUBJECT"),
-        "builtin, builtin:female, or a rigged humanoid .glb, .gltf, .vrm"]
+        "builtin, builtin:female, builtin:SEED (a dressed person drawn from that number), or a rigged humanoid .glb, "
+        ".gltf, .vrm"]
     out: Annotated[Path, Option(positional=True, metavar="OUT"),
         "capture folder to write; replaced if synth wrote it before"]
     config: Annotated[SynthConfig, "how it is filmed"]

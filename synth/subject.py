@@ -58,7 +58,8 @@ def read_subject(path: Path) -> SynthSubject:
     path = Path(path)
     if not path.exists():
         raise AssetError(
-            f"{path}: no such file; expected builtin, builtin:female or a rigged person (.glb, .gltf, .vrm)"
+            f"{path}: no such file; expected builtin, builtin:female, builtin:SEED "
+            "or a rigged person (.glb, .gltf, .vrm)"
         )
     gltf = read_gltf(path)
     rigged = read_rigged(gltf)
