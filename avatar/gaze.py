@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.face import SHAPES, Eye, FaceFrame
+from avatar.face import Eye
 from avatar.face_names import NUMBER
-from avatar.skeleton import JOINT_NUMBERS
 
 # as far as eyes turn without effort
 YAW, UP, DOWN = np.radians(35.0), np.radians(25.0), np.radians(30.0)
@@ -20,12 +19,6 @@ YAW, UP, DOWN = np.radians(35.0), np.radians(25.0), np.radians(30.0)
 _LOOKS = np.array([[NUMBER[f"eyeLook{way}"] for way in ways.split()] for ways in (
     "OutLeft InLeft UpLeft DownLeft", "InRight OutRight UpRight DownRight",
 )])  # fmt: skip
-HEAD = JOINT_NUMBERS["head"]
-
-
-def rest_face() -> FaceFrame:
-    """A face that does nothing."""
-    return FaceFrame(np.zeros(len(SHAPES)), np.zeros((2, 2)))
 
 
 def within_reach(gaze: Float[Array, "*f 2 2"]) -> Float[Array, "*f 2 2"]:

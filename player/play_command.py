@@ -17,7 +17,7 @@ from player.effects.background import Background
 from player.effects.ground import Ground
 from player.live.command import LiveCommand
 from player.scene import arguments
-from player.scene.address import Address, parse_address
+from player.scene.address import PORTS, Address, parse_address
 from player.scene.arguments import CAMERA, LOOKS, MACHINE, TIME, WHO
 from player.scene.effects import Effects
 from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera, side_by_side
@@ -202,7 +202,7 @@ def _addresses(scene: Scene, command: PlayCommand) -> list[tuple[Address, list[i
     found: dict[Address, list[int]] = {}
     for index, entry in enumerate(scene.avatars):
         if entry.live is not None:
-            found.setdefault(parse_address(entry.live, ("vmc", "udp", "ws")), []).append(index)
+            found.setdefault(parse_address(entry.live, tuple(PORTS)), []).append(index)
     if len(found) > 1 and command.source.record:
         raise ValueError(f"--record writes one file; the scene has {len(found)} live sources")
     return list(found.items())

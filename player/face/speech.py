@@ -105,7 +105,7 @@ def _followed(wanted: Float[Array, "frames"]) -> Float[Array, "frames"]:
 
 
 def features(sound: Sound) -> Float[Array, "frames 7"]:
-    """Every STEP: decibels; shares of power below 900 Hz and above 3.5 kHz; the high band's middle; F1, F2, F3, hertz."""
+    """Every STEP: decibels, shares of power below 900 Hz and above 3.5 kHz, the high band's middle, F1, F2, F3 (Hz)."""
     hop, size = round(STEP * sound.rate), round(WINDOW * sound.rate)
     count = -(-len(sound.samples) // hop)
     padded = np.pad(sound.samples, (size // 2, count * hop + size - len(sound.samples)))

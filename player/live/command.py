@@ -23,7 +23,7 @@ from player.live import json_pose
 from player.live.frame import LivePose, between
 from player.live.one_euro import LEAST
 from player.live.vmc import VmcEncoder
-from player.scene.address import Address, parse_address
+from player.scene.address import PORTS, Address, parse_address
 from player.scene.arguments import LIVE
 from player.scene.motions import BLOCK
 
@@ -38,7 +38,7 @@ EXAMPLES = """examples
 
 
 def source(text: str) -> Address:
-    return _address(text, ("vmc", "udp", "ws"))
+    return _address(text, tuple(PORTS))
 
 
 def target(text: str) -> Address:
@@ -59,9 +59,9 @@ def _address(text: str, kinds: tuple[str, ...]) -> Address:
 class LiveCommand:
     """The live poses of `selfscan play`."""
 
-    live: Annotated[Address | None, LIVE, Option(metavar="vmc:PORT|udp:PORT|ws:PORT", parse=source),
-        "pose by what arrives: VMC (usual port 39539), or our JSON over UDP or WebSocket; this machine only, unless "
-        "HOST:PORT names another interface (0.0.0.0: all)"] = None
+    live: Annotated[Address | None, LIVE, Option(metavar="vmc:PORT|udp:PORT|ws:PORT|...", parse=source),
+        "pose by what arrives: VMC (usual port 39539), our JSON over UDP or WebSocket, or a face alone: ifacialmocap, "
+        "livelinkface, openseeface; this machine only, unless HOST:PORT names another interface (0.0.0.0: all)"] = None
     smooth: Annotated[float | None, LIVE.rare, AtLeast(0.01), AtMost(1000), Option(metavar="HZ", const=LEAST),
         f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})"] = None
     calibrate: Annotated[float | None, LIVE.rare, AtLeast(0), AtMost(3600), Option(metavar="S"),

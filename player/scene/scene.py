@@ -35,7 +35,9 @@ class SceneAvatar:
         "avatar file (.glb); builtin: a person that travels with the program; mannequin, mannequin:female: a body"]
     motion: Annotated[str | None, FilePlace(BUILTIN_MOTIONS),
         "pose file, folder of frames, counting or walking; none: T-pose"] = None
-    live: Annotated[str | None, "vmc:PORT, udp:PORT or ws:PORT, instead of a motion (play only)"] = None
+    live: Annotated[str | None,
+        "vmc:PORT, udp:PORT or ws:PORT, instead of a motion (play only); a face alone, also beside one: "
+        "ifacialmocap:PORT, livelinkface:PORT, openseeface:PORT"] = None
     at: Annotated[tuple[float, float, float], "metres, added to where the motion puts it"] = (0.0, 0.0, 0.0)
     turn_deg: Annotated[float, "about the vertical through the world's origin, before `at`"] = 0.0
     hands: Annotated[str, OneOf(HANDS), "the motion's hands; mean needs `body`"] = "file"

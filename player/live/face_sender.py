@@ -1,0 +1,83 @@
+"""What senders of faces have in common: a datagram is a whole face, and perhaps how the head is turned.
+
+A decoder of one is a function in a file of its own (ifacialmocap.py, livelinkface.py, openseeface.py) and a line of
+DECODERS in inbox.py. The body of such a pose stands in T-pose, or does what else moves it (playback.py).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from avatar.face import FaceFrame
+from avatar.gaze import gaze_of
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from avatar.skeleton import JOINT_NUMBERS
+from player.live.frame import Counters, Decoded, LivePose
+
+# of the joint's turn in all, how much is the neck's
+NECK = 0.4
+# seconds; a clock set back by more was restarted
+RESTART = 1.0
+
+
+class FaceError(ValueError):
+    """The bytes are no face of this protocol."""
+
+
+class SentFace(NamedTuple):
+    """A datagram's face; head: yaw to the person's left, pitch downwards, roll to the person's right, radians."""
+
+    face: FaceFrame
+    head: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sent: float | None = None  # seconds on the sender's clock
+
+
+class FaceDecoder:
+    """Datagrams of one protocol to poses. What is cut, not finite or old is counted, and the last good face stays."""
+
+    largest = 16384  # bytes
+
+    def __init__(self, parse: Callable[[bytes], SentFace]):
+        self.parse = parse
+        self.clock: float | None = None
+
+    def decode(self, data: bytes | str, _received: float | int, counters: Counters) -> Decoded | None:
+        """The pose of a datagram; None where it is not used: the counters say why."""
+        try:
+            assert isinstance(data, bytes)
+            found = self.parse(data)
+        except FaceError:
+            counters.malformed += 1
+            return None
+        sent, last = found.sent, self.clock
+        restarted = sent is not None and last is not None and sent < last - RESTART
+        if sent is not None and last is not None and not restarted and sent <= last:
+            counters.duplicate += sent == last
+            counters.late += sent < last
+            return None
+        self.clock = sent
+        return Decoded(LivePose(turned_head(*found.head), np.zeros(3), found.face), True, sent, restarted)
+
+
+def sent_face(weights: Float[Array, "52"], gaze: Float[Array, "2 2"] | None = None) -> FaceFrame:
+    """A face of received numbers; without a gaze of their own eyes look where the eyeLook* shapes say.
+
+    Raises:
+        FaceError: a number is not finite.
+    """
+    if not np.isfinite(weights).all() or (gaze is not None and not np.isfinite(gaze).all()):
+        raise FaceError("a number that is not finite")
+    weights = np.clip(weights, 0.0, 1.0)
+    return FaceFrame(weights, gaze_of(weights) if gaze is None else np.clip(gaze, -np.pi / 2, np.pi / 2))
+
+
+def turned_head(yaw: float, pitch: float, roll: float) -> Float[Array, "52 3"]:
+    """A pose whose neck and head share a turn."""
+    y, x, z = matrix_from_axis_angle(np.array([[0.0, yaw, 0.0], [pitch, 0.0, 0.0], [0.0, 0.0, roll]]))
+    turn, pose = axis_angle_from_matrix(y @ x @ z), np.zeros((52, 3))
+    # both turn about one axis, so their shares add up
+    pose[JOINT_NUMBERS["neck"]], pose[JOINT_NUMBERS["head"]] = NECK * turn, (1 - NECK) * turn
+    return pose
