@@ -75,7 +75,11 @@ def export_main(argv: list[str]) -> int:
     ground = ground_for(options.ground, ())
     motion = motion_for(avatar, options.motion, body=options.body, hands=options.hands, ground=ground)
     start, stop = frame_range(motion.name, motion.frames, options.frames)
-    fitted = replace(motion, frames=stop - start, block=lambda a, b: motion.block(start + a, start + b))
+    faces = motion.faces
+    fitted = replace(
+        motion, frames=stop - start, block=lambda a, b: motion.block(start + a, start + b),
+        faces=None if faces is None else lambda a, b: faces(start + a, start + b),
+    )  # fmt: skip
     try:
         if kind == ".bvh":
             write_bvh(out, fitted, avatar.joint_positions, unit=UNITS[options.unit])
@@ -98,4 +102,5 @@ def _whole(motion: Motion) -> Clip:
     firsts = range(0, motion.frames, BLOCK)
     blocks = [motion.read(k, min(k + BLOCK, motion.frames)) for k in progress(firsts, "frames read", len(firsts))]
     axis_angle, root = np.concatenate([b.axis_angle for b in blocks]), np.concatenate([b.root for b in blocks])
-    return Clip(axis_angle, root, motion.rate, motion.notes, motion.pelvis_height)
+    faces = (None, None) if motion.faces is None else motion.faces(0, motion.frames)
+    return Clip(axis_angle, root, motion.rate, motion.notes, motion.pelvis_height, *faces)

@@ -105,9 +105,9 @@ def three_frames(
         "clip_from_view": clip_from_view(camera, 0.05, 50.0).tolist(),
         "background": background,
         "rotations": [
-            dict(zip(JOINTS, quaternion_from_axis_angle(axis_angle).tolist(), strict=True)) for axis_angle, _ in poses
+            dict(zip(JOINTS, quaternion_from_axis_angle(axis_angle).tolist(), strict=True)) for axis_angle, _ in (pose[:2] for pose in poses)
         ],
-        "places": [root.tolist() for _, root in poses],
+        "places": [pose[1].tolist() for pose in poses],
     }
     files: dict[str, Path | bytes] = {
         "/page.html": PAGE,

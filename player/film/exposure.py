@@ -102,7 +102,7 @@ def _blurred(lens: DepthOfField, focus: float, view: View, posers: Sequence[Pose
 
 def _bones(view: View, posers: Sequence[Poser]) -> list[PosedBones]:
     poses, camera = view
-    return [poser.posed(*pose, camera) for poser, pose in zip(posers, poses, strict=True)]
+    return [poser.posed(*pose[:2], camera) for poser, pose in zip(posers, poses, strict=True)]
 
 
 def _pixels(bones: PosedBones, camera: Camera) -> Float[Array, "points 2"]:

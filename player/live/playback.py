@@ -85,9 +85,9 @@ class LivePlayback:
                 if self.stands or abs(pose.root[1]) < LOW:
                     self.origin[1] = pose.root[1] - self.heights[0] / self._ratio(0)
         if self.shown is None or self.origin is None:
-            return [(np.zeros((52, 3)), np.array([0.0, height, 0.0])) for height in self.heights]
-        root = self.shown.root - self.origin
-        return [(self.shown.axis_angle, root * self._ratio(k)) for k in range(len(self.heights))]
+            return [Pose(np.zeros((52, 3)), np.array([0.0, height, 0.0])) for height in self.heights]
+        root, shown = self.shown.root - self.origin, self.shown
+        return [Pose(shown.axis_angle, root * self._ratio(k), shown.face) for k in range(len(self.heights))]
 
     def _ratio(self, k: int) -> float:
         """Avatar k's size against the sender's body; 1 where the sender does not say."""

@@ -12,7 +12,7 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from command.errors import AssetError
 from files.input_file import JsonObject
-from player.draw.drawing import Drawing, FrameInputs, Look, Pose, Warming
+from player.draw.drawing import Drawing, FrameInputs, GivenPose, Look, Pose, Warming
 from player.draw.plan import Canvas, Decision, Kept, Pass, Plan, close_all
 from player.draw.posing import PosedBones, Poser, screen_bounds
 from player.draw.raster import clip_planes
@@ -115,7 +115,7 @@ class Renderer:
         if size != self.size:
             self.change(size=size)
 
-    def move(self, poses: Sequence[Pose], seconds: float) -> None:
+    def move(self, poses: Sequence[GivenPose], seconds: float) -> None:
         """Let loose parts go on to these poses at a moment, where the scene asks for secondary motion: what is drawn
         from then on has them there. The first moment, one before the last and one long after it set them where they
         are skinned to.
@@ -127,10 +127,10 @@ class Renderer:
             return
         if len(poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(poses)}")
-        if not all(np.isfinite(part).all() for pose in poses for part in pose):
+        if not all(np.isfinite(part).all() for pose in poses for part in pose[:2]):
             raise ValueError("the pose holds a number that is not finite")
         for item in self.plan.passes:
-            item.move(poses, seconds)
+            item.move(_poses(poses), seconds)
 
     @property
     def moves(self) -> bool:
@@ -138,7 +138,7 @@ class Renderer:
         return bool(self.plan.moved)
 
     def draw(
-        self, poses: Sequence[Pose], camera: Camera, out: UInt8[np.ndarray, "height width 4"] | None = None, *,
+        self, poses: Sequence[GivenPose], camera: Camera, out: UInt8[np.ndarray, "height width 4"] | None = None, *,
         seconds: float = 0.0,
     ) -> UInt8[np.ndarray, "height width 4"]:  # fmt: skip
         """The image, row 0 on top, premultiplied alpha, sRGB. One pose per avatar; the camera is fitted to size.
@@ -152,8 +152,8 @@ class Renderer:
         return self.expose([(poses, camera)], out, seconds=seconds)
 
     def expose(
-        self, views: Sequence[tuple[Sequence[Pose], Camera]], out: UInt8[np.ndarray, "height width 4"] | None = None, *,
-        seconds: float = 0.0,
+        self, views: Sequence[tuple[Sequence[GivenPose], Camera]],
+        out: UInt8[np.ndarray, "height width 4"] | None = None, *, seconds: float = 0.0,
     ) -> UInt8[np.ndarray, "height width 4"]:  # fmt: skip
         """The mean of several frames, as a shutter and a lens make it (player/film/exposure.py); of one, the frame.
 
@@ -170,7 +170,7 @@ class Renderer:
         for poses, camera in views:
             if camera.size != (width, height):
                 camera = camera.resized((width, height))
-            self._frame(FrameInputs(target, tuple(poses), camera, True, seconds, len(views)))
+            self._frame(FrameInputs(target, _poses(poses), camera, True, seconds, len(views)))
             target.read_into(image, components=4)
             if total is not None:
                 total += image
@@ -179,8 +179,9 @@ class Renderer:
         return image
 
     def draw_into(
-        self, framebuffer: moderngl.Framebuffer, poses: Sequence[Pose], camera: Camera, *, seconds: float = 0.0
-    ) -> None:
+        self, framebuffer: moderngl.Framebuffer, poses: Sequence[GivenPose], camera: Camera, *,
+        seconds: float = 0.0,
+    ) -> None:  # fmt: skip
         """The same into another framebuffer, whose rows count from the bottom; nothing is read back. The renderer's
         own image keeps its top row first, as `draw` has it.
 
@@ -194,7 +195,7 @@ class Renderer:
             self.resize(camera.size)
         elif self.size != camera.size and (self.plan.background is not None or self.plan.filters):
             raise ValueError(f"made for {self.size} pixels, drawn into {camera.size}: call resize")
-        self._frame(FrameInputs(framebuffer, tuple(poses), camera, framebuffer is self.target, seconds))
+        self._frame(FrameInputs(framebuffer, _poses(poses), camera, framebuffer is self.target, seconds))
 
     def explain(self, repeats: int = 5) -> list[JsonObject]:
         """Every pass: whether it ran in the last frame, why, what it costs in ms (median), its bytes.
@@ -234,7 +235,7 @@ class Renderer:
         if len(inputs.poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(inputs.poses)}")
         reaches = [max(item.reach(number) for item in self.plan.passes) for number in range(len(self.avatars))]
-        bones = [poser.posed(*pose, camera) for poser, pose in zip(self.posers, inputs.poses, strict=True)]
+        bones = [poser.posed(*pose[:2], camera) for poser, pose in zip(self.posers, inputs.poses, strict=True)]
         bounds = [screen_bounds(self._bulging(one, far), camera) for one, far in zip(bones, reaches, strict=True)]
         visible = [one.shows(camera) for one in bounds]
         planes = clip_planes(np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).ravel())
@@ -294,6 +295,10 @@ class Renderer:
         """Bounds of each avatar's surface at its level of detail."""
         made = {id(avatar): Poser(avatar, avatar.level(self.level)) for avatar in self.avatars}
         self.posers = [made[id(avatar)] for avatar in self.avatars]
+
+
+def _poses(given: Sequence[GivenPose]) -> tuple[Pose, ...]:
+    return tuple(pose if isinstance(pose, Pose) else Pose(*pose) for pose in given)
 
 
 def _as_background(background: Background | Sequence[float | int]) -> Background:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar import rotation
+from avatar.face import face_between
 from avatar.motion.clip import Clip, Motion
 from player.draw.drawing import FASTEST, TURNED, Pose
 from player.effects.foot_lock import FootLock
@@ -60,12 +61,13 @@ class Track:
         if part == 0 or abs(part) >= 1 or self._jumps(low):
             return self.placed(self._own(here))
         part = at - low
-        (before, root_before), (after, root_after) = self._own(low), self._own(low + 1)
-        return self.placed((rotation.between(before, after, part), root_before + part * (root_after - root_before)))
+        (before, root_before, face), (after, root_after, face_after) = self._own(low), self._own(low + 1)
+        root = root_before + part * (root_after - root_before)
+        return self.placed(Pose(rotation.between(before, after, part), root, face_between(face, face_after, part)))
 
     def _jumps(self, frame: int) -> bool:
         """Whether the motion jumps between this frame and the next."""
-        (before, root_before), (after, root_after) = self._own(frame), self._own(frame + 1)
+        (before, root_before, _), (after, root_after, _) = self._own(frame), self._own(frame + 1)
         if np.linalg.norm(root_after - root_before) * self.motion.rate > FASTEST:
             return True
         q_before, q_after = (rotation.quaternion_from_axis_angle(one[0]) for one in (before, after))
@@ -81,7 +83,10 @@ class Track:
             self._blocks = [*self._blocks[-1:], (first, block)]
         i = frame - first
         held = self._held_feet()
-        return (block.axis_angle[i], block.root[i]) if held is None else held(frame, first, block)
+        face = block.face_at(i)
+        if held is not None:
+            return held(frame, first, block)._replace(face=face)
+        return Pose(block.axis_angle[i], block.root[i], face)
 
     def _held_feet(self) -> Callable[[int, int, Clip], Pose] | None:
         """What holds the feet, where that is asked for and there is something to hold."""
@@ -96,10 +101,10 @@ class Track:
 
     def placed(self, pose: Pose) -> Pose:
         """A pose turned about the world's y axis, then moved."""
-        axis_angle, root = pose
+        axis_angle, root, face = pose
         if self.turn:
             turned = rotation.matrix_from_axis_angle(np.array([0.0, self.turn, 0.0]))
             axis_angle = axis_angle.copy()
             axis_angle[0] = rotation.axis_angle_from_matrix(turned @ rotation.matrix_from_axis_angle(axis_angle[0]))
             root = turned @ root
-        return axis_angle, root + self.at
+        return Pose(axis_angle, root + self.at, face)

@@ -10,11 +10,11 @@ from functools import partial
 import numpy as np
 
 from command.errors import AssetError
+from player.draw.drawing import Pose
 from player.draw.posing import grounded
 from player.pose.library import Library
 from player.pose.session import PoseSession
 from player.scene.framing import pelvis_height
-from player.scene.renderer import Pose
 from player.window.pose_tool import PoseTool
 from player.window.recorder import free_name
 from player.window.state import WindowState
@@ -44,7 +44,7 @@ class Posing:
         poses = self.state.playback.poses()
         if self.edit is not None:
             pose = self.edit.session.pose
-            poses[self.edit.index] = (pose.axis_angle, pose.root)
+            poses[self.edit.index] = Pose(pose.axis_angle, pose.root, poses[self.edit.index].face)
         return poses
 
 
@@ -53,7 +53,7 @@ class PoseEdit:
 
     def __init__(self, state: WindowState, index: int):
         self.state, self.index, self.avatar = state, index, state.avatars[index]
-        axis_angle, root = state.playback.poses()[index]
+        axis_angle, root, _ = state.playback.poses()[index]
         self.session = PoseSession(
             self.avatar.joint_positions.astype(np.float64),
             axis_angle=axis_angle,

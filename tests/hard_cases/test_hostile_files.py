@@ -309,6 +309,8 @@ BEYOND = [
     ("a.npz", motion(mocap_framerate=5e-324), "mocap_framerate"),
     ("a.npz", motion(pelvis_height=1e-320), "pelvis_height"),
     ("a.npz", motion(pelvis_height=1e300), "pelvis_height"),
+    ("a.npz", motion(face=np.zeros((1, 51))), "face should be"),
+    ("a.npz", motion(face=np.zeros((1, 52)), gaze=np.full((1, 2, 2), np.nan)), "gaze should be finite"),
     ("a.npz", motion(betas=1e300), "betas"),
     ("a.toml", f"rate = 1e-5\n{ACTOR}".encode(), "rate: expected at least"),
     ("a.toml", f"rate = 1e5\n{ACTOR}".encode(), "rate: expected at most"),

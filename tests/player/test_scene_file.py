@@ -291,7 +291,7 @@ def test_fitted_cameras_see_all_avatars_in_their_places_all_the_time(tiny_path, 
     for frame in range(0, 45, 4):
         poses = stage.poses(frame)
         camera = camera_at(frame, poses[0][1])
-        pelvises = np.stack([root for _, root in poses])
+        pelvises = np.stack([pose.root for pose in poses])
         pixels, depth = project(camera, pelvises)
         assert (depth > 0).all() and (pixels > 20).all() and (pixels < (280, 180)).all()
     if kind != "front":  # one round a second, at the motion's 30 frames
