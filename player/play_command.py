@@ -17,7 +17,7 @@ from player.effects.background import Background
 from player.effects.ground import Ground
 from player.live.command import LiveCommand
 from player.scene import arguments
-from player.scene.address import PORTS, Address, parse_address
+from player.scene.address import FACE_SENDERS, PORTS, Address, parse_address
 from player.scene.arguments import CAMERA, LOOKS, MACHINE, TIME, WHO
 from player.scene.effects import Effects
 from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera, side_by_side
@@ -110,8 +110,8 @@ class PlayCommand:
             raise ValueError("--motion, --live, --at, --body, --hands and --ground are in the scene file")
         if live is None and self.scene is None and self.source != LiveCommand():
             raise ValueError("--smooth, --calibrate and --record go with --live")
-        if live is not None and (self.motion or self.capture):
-            raise ValueError("give --motion or --capture or --live")
+        if live is not None and (self.capture or (self.motion and live.kind not in FACE_SENDERS)):
+            raise ValueError("give --motion or --capture or --live; a motion goes with a sender of a face alone")
         count = len(self.people)
         if self.motion and len(self.motion) not in (1, count):
             raise ValueError(f"--motion: expected one, or one for each of {count} avatars, found {len(self.motion)}")

@@ -15,9 +15,11 @@ from avatar.face import FaceFrame
 from avatar.gaze import gaze_of
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINT_NUMBERS
+from player.draw.drawing import Pose
 from player.live.frame import Counters, Decoded, LivePose
 
-# of the joint's turn in all, how much is the neck's
+NECK_AND_HEAD = [JOINT_NUMBERS["neck"], JOINT_NUMBERS["head"]]
+# of the head's turn, how much is the neck's
 NECK = 0.4
 # seconds; a clock set back by more was restarted
 RESTART = 1.0
@@ -74,10 +76,18 @@ def sent_face(weights: Float[Array, "52"], gaze: Float[Array, "2 2"] | None = No
     return FaceFrame(weights, gaze_of(weights) if gaze is None else np.clip(gaze, -np.pi / 2, np.pi / 2))
 
 
+def with_head(pose: Pose, head: Pose) -> Pose:
+    """A body's pose with the face of a sender and its neck and head turned further as the sender's are."""
+    axis_angle = pose.axis_angle.copy()
+    R, turn = (matrix_from_axis_angle(one.axis_angle[NECK_AND_HEAD]) for one in (pose, head))
+    axis_angle[NECK_AND_HEAD] = axis_angle_from_matrix(R @ turn)
+    return Pose(axis_angle, pose.root, pose.face if head.face is None else head.face)
+
+
 def turned_head(yaw: float, pitch: float, roll: float) -> Float[Array, "52 3"]:
     """A pose whose neck and head share a turn."""
     y, x, z = matrix_from_axis_angle(np.array([[0.0, yaw, 0.0], [pitch, 0.0, 0.0], [0.0, 0.0, roll]]))
     turn, pose = axis_angle_from_matrix(y @ x @ z), np.zeros((52, 3))
     # both turn about one axis, so their shares add up
-    pose[JOINT_NUMBERS["neck"]], pose[JOINT_NUMBERS["head"]] = NECK * turn, (1 - NECK) * turn
+    pose[NECK_AND_HEAD] = [NECK * turn, (1 - NECK) * turn]
     return pose

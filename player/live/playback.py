@@ -7,15 +7,18 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
+from avatar.face import face_between
 from player.live.frame import LivePose
 from player.live.inbox import SILENT, Inbox
 from player.live.latency import DRAWN, Latency
 from player.live.one_euro import OneEuro
 from player.live.vmc import joint_offsets, leg_length
-from player.scene.address import Address
+from player.scene.address import FACE_SENDERS, Address
 from player.scene.framing import pelvis_height
 from player.scene.renderer import Pose
 
+# seconds in which the face of a sender that has gone comes to rest
+FADE = 0.5
 # metres; a pelvis lower than this was not measured, not even of someone who lies
 LOW = 0.05
 PATIENCE = 10.0  # seconds that a script waits for a pose
@@ -49,6 +52,8 @@ class LivePlayback:
         # whether the pose that sets the origin stands on the ground for certain
         self.stands = False
         self.shown: LivePose | None = None
+        # whether the sender moves the body; else a motion does, and the sender turns the head
+        self.moves_body = address.kind not in FACE_SENDERS
         self.sampled: float | None = None
 
     def advance(self, dt: float | int) -> None:
@@ -71,7 +76,7 @@ class LivePlayback:
             self.filter.reset()
 
     def poses(self) -> list[Pose]:
-        """A pose for each avatar. Paused or silent, the last good one."""
+        """A pose for each avatar. Paused or silent, the last good one; of a sender that has gone the face rests."""
         now = self.clock()
         found = self.inbox.sample() if self.playing else None
         if found is not None:
@@ -79,6 +84,9 @@ class LivePlayback:
             self.latency.applied(frame, now)
             dt = now - self.sampled if self.sampled is not None else 0.0
             self.shown = self.filter(pose, dt) if self.filter else pose
+            gone = (now - frame.received - SILENT) / FADE
+            if gone > 0:
+                self.shown = self.shown._replace(face=face_between(pose.face, None, gone) if gone < 1 else None)
             self.sampled = now
             if self.origin is None:
                 self.origin = pose.root * [1.0, 0.0, 1.0]

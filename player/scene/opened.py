@@ -54,7 +54,7 @@ def opened_track(
 
 def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView | None) -> Track:
     at, turn = np.array(entry.at, np.float64), float(np.radians(entry.turn_deg))
-    if entry.live is not None:
+    if entry.live is not None and entry.motion is None:
         return Track(standing(pelvis_height(avatar)), at=at, turn=turn, name=entry.live)
     if entry.motion is None and capture is not None:
         return Track(capture.poses, at=at, turn=turn, name=f"the {capture.part} video")

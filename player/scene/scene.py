@@ -12,7 +12,7 @@ from avatar.motion.hands import HANDS
 from avatar.motion.read import BUILTIN_MOTIONS
 from command.settings import AtLeast, AtMost, FilePlace, OneOf, Rows, settings
 from player.effects.background import Background
-from player.scene.address import PORTS, parse_address
+from player.scene.address import FACE_SENDERS, PORTS, parse_address
 from player.scene.effects import STUDIO, USUAL, Effects
 
 # where the ground of a motion is: avatar/motion/ground.py
@@ -48,12 +48,13 @@ class SceneAvatar:
     start: Annotated[float, AtLeast(0), AtMost(1e9), "seconds into the motion at which the scene begins"] = 0.0
 
     def __post_init__(self):
+        kind = None
         if self.live is not None:
             try:
-                parse_address(self.live, tuple(PORTS))
+                kind = parse_address(self.live, tuple(PORTS)).kind
             except ValueError as error:
                 raise ValueError(f"live: {error}") from None
-        if self.motion is not None and self.live is not None:
+        if self.motion is not None and kind is not None and kind not in FACE_SENDERS:
             raise ValueError("motion and live: expected one of them, found both")
 
 

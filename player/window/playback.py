@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from player.live.face_sender import with_head
 from player.live.playback import LivePlayback
 from player.scene.renderer import Pose
 from player.scene.track import Track
@@ -34,7 +35,9 @@ class Playback:
         for live, indices in self.live:
             live.playing = self.timeline.playing
             for index, pose in zip(indices, live.poses(), strict=True):
-                poses[index] = self.tracks[index].placed(pose)
+                track = self.tracks[index]
+                moved = live.moves_body
+                poses[index] = track.placed(pose) if moved else with_head(track.pose(self.timeline.seconds), pose)
         return [
             pose if pose is not None else track.pose(self.timeline.seconds)
             for pose, track in zip(poses, self.tracks, strict=True)

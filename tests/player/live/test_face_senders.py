@@ -6,13 +6,20 @@ import time
 import numpy as np
 import pytest
 
-from avatar.face import SHAPES
+from avatar.face import REST, SHAPES, FaceFrame
 from avatar.gaze import YAW
+from avatar.motion.read import read_motion
 from avatar.skeleton import JOINT_NUMBERS as J
+from player.draw.drawing import Pose
+from player.live.face_sender import turned_head, with_head
+from player.live.frame import LivePose
 from player.live.inbox import Inbox
 from player.live.json_pose import PoseError, build_pose, parse_pose
 from player.live.openseeface import FEATURES, HEAD, SIZE
 from player.live.osc import build_bundle, build_message
+from player.live.playback import LivePlayback
+from player.live.take import Take
+from player.scene.address import Address
 
 # a face whose sides and neighbors differ
 WEIGHTS = {name: 0.01 * (1 + number) for number, name in enumerate(SHAPES)}
@@ -155,3 +162,36 @@ def test_good_faces_come_through_ten_thousand_spoilt_packets_and_the_last_good_o
     assert took < 20  # of processor time, far below a second a thousand
     inbox.feed(good, 99.0)
     assert inbox.counters.duplicate == (kind != "ifacialmocap")
+
+
+def test_a_face_of_a_sender_that_goes_is_held_then_rests_and_the_body_stays_with_its_motion(avatar):
+    inbox, now = Inbox("ifacialmocap"), [100.0]
+    live = LivePlayback(inbox, Address("ifacialmocap", "127.0.0.1", 1), [avatar], clock=lambda: now[0])
+    assert live.poses()[0].face is None and not live.moves_body
+    inbox.feed(ifacialmocap(), 100.0)
+    shares = []
+    for now[0] in (100.0, 100.9, 101.25, 101.6):
+        face = live.poses()[0].face
+        shares.append(0.0 if face is None else face.weights[50] / WEIGHTS["noseSneerRight"])
+    assert np.allclose(shares, [1, 1, 0.5, 0], atol=1e-6)
+    turned = np.zeros((52, 3))
+    turned[J["head"], 1] = turned[J["left_elbow"], 1] = 0.3
+    found = with_head(Pose(turned, np.ones(3)), Pose(turned_head(0.2, 0.0, 0.0), np.zeros(3), REST))
+    assert np.allclose(found.axis_angle[[J["neck"], J["head"], J["left_elbow"]], 1], [0.08, 0.42, 0.3])
+    assert found.face is REST and (found.root == 1).all()
+
+
+def test_a_take_keeps_faces_and_one_without_has_none(tmp_path):
+    for name, faces in (("a", True), ("b", False)):
+        take = Take(tmp_path / f"{name}.npz")
+        for n in (0, 1, 2, 4):
+            face = FaceFrame(np.full(52, 0.1 * n), np.full((2, 2), 0.02 * n)) if faces and n else None
+            take.add(n / 30, LivePose(np.zeros((52, 3)), np.zeros(3), face))
+        take.finish()
+        clip = read_motion(tmp_path / f"{name}.npz").read()
+        assert (clip.face is not None) == faces
+        if faces:
+            assert np.allclose(clip.face[:, 7], [0, 0.1, 0.2, 0.3, 0.4], atol=1e-4)
+            assert np.allclose(clip.gaze[:, 1, 0], [0, 0.02, 0.04, 0.06, 0.08], atol=1e-4)
+    with np.load(tmp_path / "a.npz") as file:  # what AMASS's tools look for is where it was
+        assert file["poses"].shape == (5, 156) and file["face"].shape == (5, 52)
