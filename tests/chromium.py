@@ -105,7 +105,7 @@ def three_frames(
         "clip_from_view": clip_from_view(camera, 0.05, 50.0).tolist(),
         "background": background,
         "rotations": [
-            dict(zip(JOINTS, quaternion_from_axis_angle(axis_angle).tolist(), strict=True)) for axis_angle, _ in (pose[:2] for pose in poses)
+            dict(zip(JOINTS, quaternion_from_axis_angle(pose[0]).tolist(), strict=True)) for pose in poses
         ],
         "places": [pose[1].tolist() for pose in poses],
     }

@@ -50,6 +50,27 @@ class GltfBuilder:
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
+    def add_sparse(self, rows: np.ndarray, values: np.ndarray, count: int) -> int:
+        """Store an array (count, 3) of float32 that is zero but in some rows, ascending, with min and max."""
+        everything = np.concatenate([values, np.zeros((int(len(values) < count), 3), np.float32)])
+        rows = rows.astype(np.uint16 if count <= 1 << 16 else np.uint32)
+        indices = {
+            "bufferView": self._add_view(rows.tobytes(), None),
+            "componentType": 5123 if rows.itemsize == 2 else 5125,
+        }
+        stored = {"bufferView": self._add_view(np.ascontiguousarray(values).tobytes(), None)}
+        self.accessors.append(
+            {
+                "componentType": 5126,
+                "count": count,
+                "type": "VEC3",
+                "min": everything.min(axis=0).tolist(),
+                "max": everything.max(axis=0).tolist(),
+                "sparse": {"count": len(rows), "indices": indices, "values": stored},
+            }
+        )
+        return len(self.accessors) - 1
+
     def add_image(self, data: bytes, name: str) -> int:
         """Store a PNG and return its index."""
         self.images.append({"name": name, "mimeType": "image/png", "bufferView": self._add_view(data, None)})

@@ -25,7 +25,7 @@ from PIL import Image
 from pose_twins import landmarks, points, sam3d_fields
 from rigs import animated_glb
 from smplh_model import write_model
-from tiny_avatar import join_glb, split_glb, tiny_avatar
+from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_face
 
 from avatar.baked_avatar import check_avatar
 from avatar.body import builtin_body, read_body
@@ -169,6 +169,7 @@ def plain(content: object) -> Callable[[Path], bytes]:
 
 FORMATS = {
     "avatar": Format("a.glb", written(lambda path: write_avatar(path, tiny_avatar())), checked, **GLTF),
+    "avatar with a face": Format("a.glb", written(lambda path: write_avatar(path, tiny_face())), checked, **GLTF),
     "animation": Format("b.glb", lambda _: join_glb(*animated_glb()), finite_motion, **GLTF),
     "npz": Format("a.npz", archive(np.savez), finite_motion, 80),
     "deflated npz": Format("a.npz", archive(np.savez_compressed), finite_motion, 80),
