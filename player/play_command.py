@@ -1,12 +1,14 @@
 """`selfscan play`: avatars in a window, moved by files or by live poses."""
 
 import argparse
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
 
+from avatar.baked_avatar import Avatar
 from avatar.skeleton import PARTS
 from command.command_line import Help, Option, parse
 from command.errors import AssetError, missing_package
@@ -62,6 +64,9 @@ class PlayCommand:
     motion: Annotated[tuple[str, ...], WHO, Option(metavar="FILE", repeated=True),
         "pose file, folder of frames, counting (default) or walking: one for all avatars, or once for each, in "
         "order"] = ()
+    life: Annotated[bool, WHO.rare, Option(("--no-life",)),
+        "faces rest where nothing moves them; else they blink, look at the camera, and bodies breathe"] = True
+    speech: Annotated[str | None, WHO, Option(metavar="FILE.wav"), "a voice that moves its mouth, silently"] = None
     at: Annotated[
         tuple[tuple[float, float, float, float], ...], WHO.rare,
         Option(metavar="X,Y,Z[,DEG]", parse=parse_place, repeated=True),
@@ -105,9 +110,9 @@ class PlayCommand:
         if self.scene and self.avatar:
             raise ValueError("give AVATAR or --scene, one of them")
         live = self.source.live
-        given = self.motion or live or self.at or self.body
+        given = self.motion or live or self.at or self.body or self.speech
         if self.scene and (given or (self.hands, self.ground) != ("file", "auto")):
-            raise ValueError("--motion, --live, --at, --body, --hands and --ground are in the scene file")
+            raise ValueError("--motion, --live, --speech, --at, --body, --hands and --ground are in the scene file")
         if live is None and self.scene is None and self.source != LiveCommand():
             raise ValueError("--smooth, --calibrate and --record go with --live")
         if live is not None and (self.capture or (self.motion and live.kind not in FACE_SENDERS)):
@@ -157,7 +162,8 @@ def scene_of(command: PlayCommand) -> Scene:
 def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:
     motions = command.motion or (None if command.capture or command.source.live else "counting",)
     live = str(command.source.live) if command.source.live else None
-    like = SceneAvatar(BUILTIN, live=live, hands=command.hands, ground=command.ground, body=command.body)
+    said = {"live": live, "speech": command.speech}
+    like = SceneAvatar(BUILTIN, **said, hands=command.hands, ground=command.ground, body=command.body)
     return side_by_side(command.people, motions, command.at, like=like)
 
 
@@ -181,6 +187,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             raise missing_package("imgui-bundle", "gui", "selfscan play") from None
     stop.check()
     avatars = opened_avatars(scene)
+    scene = with_life(scene, avatars, command.life and not command.capture)
     with ExitStack() as sources:
         live = [
             (sources.enter_context(live_session(address, command.source, [avatars[k] for k in indices])), indices)
@@ -195,6 +202,14 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             script=None if command.script is None else command.script.split(), screenshot=command.screenshot,
             budget=None if command.budget is None else (command.budget, [entry.path for entry in scene.avatars]),
         )  # fmt: skip
+
+
+def with_life(scene: Scene, avatars: Sequence[Avatar], wanted: bool) -> Scene:
+    """The scene with life in every face, of those that a scene file leaves still too; unwanted, with none at all."""
+    entries = enumerate(zip(scene.avatars, avatars, strict=True), 1)
+    seeds = [entry.life if entry.life is not None else k if avatar.eyes else None for k, (entry, avatar) in entries]
+    lives = [replace(entry, life=seed if wanted else None) for entry, seed in zip(scene.avatars, seeds, strict=True)]
+    return replace(scene, avatars=tuple(lives))
 
 
 def _addresses(scene: Scene, command: PlayCommand) -> list[tuple[Address, list[int]]]:

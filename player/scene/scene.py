@@ -46,6 +46,9 @@ class SceneAvatar:
         "cameras that were measured (file, capture), else find"] = "auto"
     body: Annotated[str | None, FilePlace(), "SMPL+H model (.npz, .pkl) that the pose file was made for"] = None
     start: Annotated[float, AtLeast(0), AtMost(1e9), "seconds into the motion at which the scene begins"] = 0.0
+    life: Annotated[int | None, AtLeast(0),
+        "it blinks, looks at the camera and breathes where nothing else moves its face; a number picks when"] = None
+    speech: Annotated[str | None, FilePlace(), "a voice (.wav) that moves its mouth; the film stays silent"] = None
 
     def __post_init__(self):
         kind = None
@@ -71,8 +74,11 @@ def side_by_side(
     places = places or [(left + SPACING * k, 0.0, 0.0, 0.0) for k in range(len(paths))]
     motions = motions if len(motions) > 1 else [motions[0]] * len(paths)
     return tuple(
-        replace(like, path=path, motion=motion, at=(x, y, z), turn_deg=turn)
-        for path, motion, (x, y, z, turn) in zip(paths, motions, places, strict=True)
+        replace(
+            like, path=path, motion=motion, at=(x, y, z), turn_deg=turn,
+            life=None if like.life is None else like.life + k,
+        )
+        for k, (path, motion, (x, y, z, turn)) in enumerate(zip(paths, motions, places, strict=True))
     )
 
 

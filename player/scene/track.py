@@ -11,6 +11,7 @@ from avatar.face import face_between
 from avatar.motion.clip import Clip, Motion
 from player.draw.drawing import FASTEST, TURNED, Pose
 from player.effects.foot_lock import FootLock
+from player.scene.acting import Acting
 from player.scene.motions import BLOCK
 
 
@@ -30,6 +31,8 @@ class Track:
     joints: Float[np.ndarray, "52 3"] | None = None
     # whether they are
     foot_lock: FootLock | None = None
+    # its face beside its motion's, where that is asked for
+    acting: Acting | None = None
     _held: tuple[FootLock, Callable[[int, int, Clip], Pose]] | None = field(default=None, repr=False)
     _blocks: list[tuple[int, Clip]] = field(default_factory=list, repr=False)
 
@@ -42,9 +45,19 @@ class Track:
         """The motion's own frame at a moment of the timeline; past its end the last is held."""
         return min(max(int((seconds + self.start) * self.motion.rate + 1e-6), 0), self.motion.frames - 1)
 
-    def pose(self, seconds: float | int) -> Pose:
-        """The pose at a moment, in its place."""
-        return self.placed(self._own(self.frame(seconds)))
+    def lasts(self, alone: float = 0.0) -> float:
+        """Seconds into the timeline at which motion and speech have ended, of a still body `alone` seconds of life."""
+        if self.acting is None:
+            return self.end
+        return max(self.end, self.acting.lasts(alone if self.motion.frames == 1 else 0.0))
+
+    def pose(self, seconds: float | int, lived: float | None = None) -> Pose:
+        """The pose at a moment, in its place; `lived` is the moment of life where that is another."""
+        return self.placed(self._swaying(self._own(self.frame(seconds)), seconds if lived is None else lived))
+
+    def _swaying(self, pose: Pose, seconds: float) -> Pose:
+        """A body that no motion moves, breathing where that is asked for."""
+        return pose if self.acting is None or self.motion.frames > 1 else self.acting.swaying(pose, seconds)
 
     def pose_beside(self, seconds: float, away: float) -> Pose:
         """The pose `away` seconds from a moment, between two frames of the motion; where it jumps between them (faster
@@ -59,7 +72,7 @@ class Track:
         part = at - here
         low = here if part > 0 else here - 1
         if part == 0 or abs(part) >= 1 or self._jumps(low):
-            return self.placed(self._own(here))
+            return self.placed(self._swaying(self._own(here), seconds + away))
         part = at - low
         (before, root_before, face), (after, root_after, face_after) = self._own(low), self._own(low + 1)
         root = root_before + part * (root_after - root_before)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from player.live.face_sender import with_head
 from player.live.playback import LivePlayback
@@ -20,12 +21,15 @@ class Playback:
     ):  # fmt: skip
         self.tracks, self.live = list(tracks), list(live)
         rate = rate or tracks[0].motion.rate
-        frames = max(int(np.ceil(track.end * rate - 1e-6)) for track in tracks)
+        frames = max(int(np.ceil(track.lasts() * rate - 1e-6)) for track in tracks)
+        # seconds that have passed for life, which does not begin anew with the timeline
+        self.lived = 0.0
         self.timeline = Timeline(max(frames, 1), rate)
 
     def advance(self, dt: float | int) -> None:
         """Let time pass."""
         self.timeline.advance(dt)
+        self.lived += max(dt, 0.0) if self.timeline.playing else 0.0
         for live, _ in self.live:
             live.advance(dt)
 
@@ -36,12 +40,26 @@ class Playback:
             live.playing = self.timeline.playing
             for index, pose in zip(indices, live.poses(), strict=True):
                 track = self.tracks[index]
-                moved = live.moves_body
-                poses[index] = track.placed(pose) if moved else with_head(track.pose(self.timeline.seconds), pose)
+                poses[index] = track.placed(pose) if live.moves_body else with_head(self._moved(track), pose)
         return [
-            pose if pose is not None else track.pose(self.timeline.seconds)
+            pose if pose is not None else self._moved(track)
             for pose, track in zip(poses, self.tracks, strict=True)
         ]
+
+    def _moved(self, track: Track) -> Pose:
+        return track.pose(self.timeline.seconds, self.lived)
+
+    def faced(self, poses: Sequence[Pose], eye: Float[np.ndarray, "3"]) -> list[Pose]:
+        """The poses with what faces do now, before a camera at `eye`."""
+        acting = zip([track.acting for track in self.tracks], poses, strict=True)
+        now = self.timeline.seconds
+        return [pose if one is None else one.faced(pose, now, eye, self.lived) for one, pose in acting]
+
+    @property
+    def lives(self) -> bool:
+        """Whether a face moves even if nothing else does."""
+        acting = (track.acting for track in self.tracks)
+        return self.timeline.playing and any(one is not None and one.seed is not None for one in acting)
 
     def close(self) -> None:
         """Let go of the motions, whose files close with them."""

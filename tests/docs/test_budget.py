@@ -15,7 +15,7 @@ BUDGET = {
     "capture": 11_265,
     "train": 5_365,
     "bake": 4_439,
-    "player": 18_511,
+    "player": 18_672,
     "shaders": 971,
     "synth": 2_688,
     "bench": 5_515,

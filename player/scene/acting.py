@@ -1,0 +1,86 @@
+"""What an avatar's face does in a scene: its motion's or its sender's own, else life; and speech moves its mouth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from avatar.baked_avatar import Avatar
+from avatar.face import REST, FaceFrame
+from avatar.gaze import DOWN, UP, YAW, gaze_at, within_reach
+from avatar.skeleton import JOINT_NUMBERS, joint_transforms
+from files.sound import read_wav
+from player.draw.drawing import Pose
+from player.face.life import life, sway
+from player.face.speech import Speech
+from player.scene.scene import SceneAvatar
+
+HEAD = JOINT_NUMBERS["head"]
+# seconds of a film in which nothing but life happens
+ALONE = 10.0
+
+
+@dataclass(frozen=True)
+class Acting:
+    """Life and speech of one avatar: functions of the scene's time, so that any frame can be made first."""
+
+    avatar: Avatar
+    # None: no life
+    seed: int | None = None
+    speech: Speech | None = None
+
+    def lasts(self, alone: float) -> float:
+        """Seconds of the speech; without one, of life `alone`."""
+        return self.speech.seconds if self.speech is not None else 0.0 if self.seed is None else alone
+
+    def swaying(self, pose: Pose, seconds: float) -> Pose:
+        """A body that stands still, breathing."""
+        if self.seed is None:
+            return pose
+        # the turns are small: order does not matter
+        return pose._replace(axis_angle=pose.axis_angle + sway(self.seed, seconds))
+
+    def faced(self, pose: Pose, seconds: float, eye: Float[Array, "3"], lived: float | None = None) -> Pose:
+        """The pose with what the face does at a moment; `eye` is the camera's place, world, at which it looks; `lived`
+        is the moment of life where that is another."""
+        face = pose.face
+        if face is None and self.seed is not None:
+            face = life(self.seed, seconds if lived is None else lived, self.look(pose, eye))
+        if self.speech is not None:
+            face = face or REST
+            face = FaceFrame(np.clip(face.weights + self.speech.weights(seconds), 0.0, 1.0), face.gaze)
+        return pose._replace(face=face)
+
+    def look(self, pose: Pose, point: Float[Array, "3"]) -> Float[Array, "2 2"]:
+        """The gaze at a point; farther aside than eyes turn it goes to where the head is turned."""
+        if self.avatar.eyes is None:
+            return np.zeros((2, 2))
+        joints = self.avatar.joint_positions.astype(np.float64)
+        posed = joint_transforms(pose.axis_angle, joints, pose.root)[HEAD]
+        canonical = joint_transforms(self.avatar.canonical_pose, joints)[HEAD]
+        gaze = gaze_at(point, self.avatar.eyes, posed @ np.linalg.inv(canonical))
+        yaw, pitch = gaze.mean(0)
+        beyond = max(abs(yaw) / YAW, pitch / UP, -pitch / DOWN)
+        return within_reach(gaze) * min(max(2.0 - beyond, 0.0), 1.0)
+
+
+def opened_acting(entry: SceneAvatar, avatar: Avatar) -> Acting | None:
+    """The life and speech that an entry of a scene asks for; None: neither.
+
+    Raises:
+        AssetError: the sound cannot be read.
+    """
+    if entry.life is None and entry.speech is None:
+        return None
+    return Acting(avatar, entry.life, None if entry.speech is None else Speech(read_wav(entry.speech)))
+
+
+def faceless(names: Sequence[str], acting: Sequence[Acting | None]) -> list[str]:
+    """A note for each avatar that should act and has no face."""
+    return [
+        f"{name}: no face in its file; life moves its chest alone, speech nothing"
+        for name, one in zip(names, acting, strict=True)
+        if one is not None and one.avatar.eyes is None
+    ]
