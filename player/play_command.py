@@ -162,8 +162,9 @@ def scene_of(command: PlayCommand) -> Scene:
 def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:
     motions = command.motion or (None if command.capture or command.source.live else "counting",)
     live = str(command.source.live) if command.source.live else None
-    said = {"live": live, "speech": command.speech}
-    like = SceneAvatar(BUILTIN, **said, hands=command.hands, ground=command.ground, body=command.body)
+    like = SceneAvatar(
+        BUILTIN, live=live, hands=command.hands, ground=command.ground, body=command.body, speech=command.speech
+    )
     return side_by_side(command.people, motions, command.at, like=like)
 
 

@@ -42,8 +42,7 @@ class Playback:
                 track = self.tracks[index]
                 poses[index] = track.placed(pose) if live.moves_body else with_head(self._moved(track), pose)
         return [
-            pose if pose is not None else self._moved(track)
-            for pose, track in zip(poses, self.tracks, strict=True)
+            pose if pose is not None else self._moved(track) for pose, track in zip(poses, self.tracks, strict=True)
         ]
 
     def _moved(self, track: Track) -> Pose:
