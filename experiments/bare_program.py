@@ -39,7 +39,7 @@ from player.scene.mannequin import mannequin
 from player.scene.motions import motion_for
 
 # every switch of the avatar's shaders, off
-PLAIN_SHADER = {"SKINNING": 0, "LIT": 0, "CONTACT": 0, "LOOSE": 0, "VIEW_STAGE": 0}
+PLAIN_SHADER = {"SKINNING": 0, "LIT": 0, "CONTACT": 0, "LOOSE": 0, "FACE": 0, "VIEW_STAGE": 0}
 Color = tuple[float, float, float, float]
 
 

@@ -13,6 +13,7 @@ from avatar.camera import Camera
 from command.errors import AssetError
 from files.input_file import JsonObject
 from player.draw.drawing import Drawing, FrameInputs, GivenPose, Look, Pose, Warming
+from player.draw.face import moves_face
 from player.draw.plan import Canvas, Decision, Kept, Pass, Plan, close_all
 from player.draw.posing import PosedBones, Poser, screen_bounds
 from player.draw.raster import clip_planes
@@ -62,6 +63,8 @@ class Renderer:
         self.drawn: list[PassOutcome] = []
         self.last: FrameInputs | None = None
         self.posers: list[Poser] = []
+        # avatars whose face has moved: a face costs nothing before
+        self.faces: frozenset[int] = frozenset()
         self.plan = self._resolved({})
         self._apply(self.plan)
         self._measure()
@@ -234,8 +237,9 @@ class Renderer:
         camera = inputs.camera
         if len(inputs.poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(inputs.poses)}")
-        reaches = [max(item.reach(number) for item in self.plan.passes) for number in range(len(self.avatars))]
         bones = [poser.posed(*pose[:2], camera) for poser, pose in zip(self.posers, inputs.poses, strict=True)]
+        self._plan_faces(inputs, bones)
+        reaches = [max(item.reach(k, pose) for item in self.plan.passes) for k, pose in enumerate(inputs.poses)]
         bounds = [screen_bounds(self._bulging(one, far), camera) for one, far in zip(bones, reaches, strict=True)]
         visible = [one.shows(camera) for one in bounds]
         planes = clip_planes(np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).ravel())
@@ -253,6 +257,17 @@ class Renderer:
             if item is only or (only is None and decision.runs):
                 item.draw(drawing)
         self.drawn, self.last = drawn, inputs
+
+    def _plan_faces(self, inputs: FrameInputs, bones: Sequence[PosedBones]) -> None:
+        """Bring faces that move for the first time into the plan."""
+        moved = {
+            number for number, (pose, one) in enumerate(zip(inputs.poses, bones, strict=True))
+            if number not in self.faces and self.avatars[number].eyes is not None
+            and moves_face(pose, one, inputs.camera)
+        }  # fmt: skip
+        if moved:
+            self.faces |= moved
+            self._apply(self._resolved(self.plan.kept))
 
     def _bulging(self, bones: PosedBones, reach: float) -> PosedBones:
         """The bones with spheres that hold what they move, in the skinning asked for; reach: of loose parts, metres."""
@@ -276,7 +291,7 @@ class Renderer:
         if self.size is not None and self.size[0] * self.size[1] > MAX_PIXELS:
             raise ValueError(f"size: expected at most {MAX_PIXELS} pixels, found {self.size[0]} x {self.size[1]}")
         canvas = Canvas(self.size, self.own_image, self.context.software, self.context.gl.max_samples)
-        return resolve(self.avatars, canvas, self.effects, self.background, self.detail, kept)
+        return resolve(self.avatars, canvas, self.effects, self.background, self.detail, kept, self.faces)
 
     def _apply(self, plan: Plan) -> None:
         """Make what the plan adds, free what it lacks, and draw once with what is new."""
