@@ -1,4 +1,4 @@
-"""Where eyes look, and the eyeLook* shapes that say it: 1 is as far as an eye turns.
+"""Where eyes look, and the eyeLook* shapes that say it: 1 is as far as an eye turns; and a head that turns.
 
 Angles are those of `FaceFrame.gaze`: yaw to the person's left and pitch upwards, radians, away from an eye's axis. What
 turns the balls is the gaze; the eyeLook* shapes move lids with it.
@@ -12,9 +12,14 @@ from numpy import ndarray as Array
 
 from avatar.face import Eye
 from avatar.face_names import NUMBER
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from avatar.skeleton import JOINT_NUMBERS
 
 # as far as eyes turn without effort
 YAW, UP, DOWN = np.radians(35.0), np.radians(25.0), np.radians(30.0)
+NECK_AND_HEAD = [JOINT_NUMBERS["neck"], JOINT_NUMBERS["head"]]
+# of the head's turn, how much is the neck's
+NECK = 0.4
 # by eye, left first: the shapes of looking to the person's left and right, up and down
 _LOOKS = np.array([[NUMBER[f"eyeLook{way}"] for way in ways.split()] for ways in (
     "OutLeft InLeft UpLeft DownLeft", "InRight OutRight UpRight DownRight",
@@ -57,3 +62,18 @@ def angles_of(direction: Float[Array, "3"]) -> Float[Array, "2"]:
     """Yaw to the person's left and pitch upwards of a direction of the canonical frame (x left, y up, z forward)."""
     x, y, z = direction
     return np.array([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))])
+
+
+def turned_head(turn: Float[Array, "*f 3"]) -> Float[Array, "*f 52 3"]:
+    """Poses whose neck and head share a turn: yaw to the person's left, pitch downwards, roll to the right, radians."""
+    each = matrix_from_axis_angle(turn[..., None] * np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]))
+    yaw, pitch, roll = np.moveaxis(each, -3, 0)
+    return pose_of_head(yaw @ pitch @ roll)
+
+
+def pose_of_head(R: Float[Array, "*f 3 3"]) -> Float[Array, "*f 52 3"]:
+    """Poses whose neck and head share a rotation."""
+    turn, pose = axis_angle_from_matrix(R), np.zeros((*R.shape[:-2], 52, 3))
+    # both turn about one axis, so their shares add up
+    pose[..., NECK_AND_HEAD, :] = np.array([[NECK], [1 - NECK]]) * turn[..., None, :]
+    return pose

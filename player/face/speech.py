@@ -75,7 +75,8 @@ def mouth_shapes(sound: Sound) -> Float[Array, "frames 52"]:
     rounds = max(round(FADE / STEP), 1)
     box = np.ones(rounds + 1)
     box[[0, -1]] = 0.5
-    visemes = np.stack([np.convolve(one, box / rounds, "same") for one in visemes.T], 1)
+    middle = slice(rounds // 2, rounds // 2 + len(visemes))
+    visemes = np.stack([np.convolve(one, box / rounds)[middle] for one in visemes.T], 1)
     weights = visemes @ _shapes_of_visemes()
     # quiet speech opens the mouth less
     jaw = _followed(np.minimum(weights[:, NUMBER["jawOpen"]] * (0.6 + 0.5 * loud), MOST_JAW))

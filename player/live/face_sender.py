@@ -12,15 +12,11 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.face import FaceFrame
-from avatar.gaze import gaze_of
+from avatar.gaze import NECK_AND_HEAD, gaze_of, turned_head
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import JOINT_NUMBERS
 from player.draw.drawing import Pose
 from player.live.frame import Counters, Decoded, LivePose
 
-NECK_AND_HEAD = [JOINT_NUMBERS["neck"], JOINT_NUMBERS["head"]]
-# of the head's turn, how much is the neck's
-NECK = 0.4
 # seconds; a clock set back by more was restarted
 RESTART = 1.0
 
@@ -61,7 +57,7 @@ class FaceDecoder:
             counters.late += sent < last
             return None
         self.clock = sent
-        return Decoded(LivePose(turned_head(*found.head), np.zeros(3), found.face), True, sent, restarted)
+        return Decoded(LivePose(turned_head(np.array(found.head)), np.zeros(3), found.face), True, sent, restarted)
 
 
 def sent_face(weights: Float[Array, "52"], gaze: Float[Array, "2 2"] | None = None) -> FaceFrame:
@@ -82,12 +78,3 @@ def with_head(pose: Pose, head: Pose) -> Pose:
     R, turn = (matrix_from_axis_angle(one.axis_angle[NECK_AND_HEAD]) for one in (pose, head))
     axis_angle[NECK_AND_HEAD] = axis_angle_from_matrix(R @ turn)
     return Pose(axis_angle, pose.root, pose.face if head.face is None else head.face)
-
-
-def turned_head(yaw: float, pitch: float, roll: float) -> Float[Array, "52 3"]:
-    """A pose whose neck and head share a turn."""
-    y, x, z = matrix_from_axis_angle(np.array([[0.0, yaw, 0.0], [pitch, 0.0, 0.0], [0.0, 0.0, roll]]))
-    turn, pose = axis_angle_from_matrix(y @ x @ z), np.zeros((52, 3))
-    # both turn about one axis, so their shares add up
-    pose[NECK_AND_HEAD] = [NECK * turn, (1 - NECK) * turn]
-    return pose

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from avatar.face import REST, SHAPES, FaceFrame
-from avatar.gaze import YAW
+from avatar.gaze import YAW, turned_head
 from avatar.motion.read import read_motion
 from avatar.skeleton import JOINT_NUMBERS as J
 from player.draw.drawing import Pose
-from player.live.face_sender import turned_head, with_head
+from player.live.face_sender import with_head
 from player.live.frame import LivePose
 from player.live.inbox import Inbox
 from player.live.json_pose import PoseError, build_pose, parse_pose
@@ -176,7 +176,7 @@ def test_a_face_of_a_sender_that_goes_is_held_then_rests_and_the_body_stays_with
     assert np.allclose(shares, [1, 1, 0.5, 0], atol=1e-6)
     turned = np.zeros((52, 3))
     turned[J["head"], 1] = turned[J["left_elbow"], 1] = 0.3
-    found = with_head(Pose(turned, np.ones(3)), Pose(turned_head(0.2, 0.0, 0.0), np.zeros(3), REST))
+    found = with_head(Pose(turned, np.ones(3)), Pose(turned_head(np.array([0.2, 0.0, 0.0])), np.zeros(3), REST))
     assert np.allclose(found.axis_angle[[J["neck"], J["head"], J["left_elbow"]], 1], [0.08, 0.42, 0.3])
     assert found.face is REST and (found.root == 1).all()
 
