@@ -8,6 +8,7 @@ Every pass that draws the avatar adds o to the canonical position before the bon
 face has not moved yet has none of this in its plan; where its face rests or cannot be seen nothing is uploaded.
 """
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +21,6 @@ from numpy import ndarray as Array
 from avatar.baked_avatar import Level
 from avatar.camera import Camera
 from avatar.face import REST, SHAPES, SIDES, Eye, FaceFrame
-from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINT_NUMBERS
 from player.draw.drawing import Drawing, FrameInputs, Pose
 from player.draw.plan import FACE_UNIT, Attributes, Decision, Draft, Pass, PassState, vertex_order
@@ -30,10 +30,9 @@ from player.draw.resources import AnyHandle, Handle, PlanResources
 # radians that an eye turns aside, up and down at most
 ASIDE, UP, DOWN = np.radians([35.0, 25.0, 30.0]).tolist()
 CLEARANCE = 3e-4  # metres from a ball to its lids
-# a lid's vertices are that near to the ball's center, radii
-LID_REACH = 2.0
 HEAD, HEAD_HEIGHT = JOINT_NUMBERS["head"], 0.23  # metres
 SMALLEST = 40  # pixels; of a smaller head nobody sees it move
+IDENTITY = np.eye(3)
 WIDTH = 64  # texels of a row, shaders/face.glsl
 AT_REST = Decision(PassState.SKIPPED, "at rest")
 OUT_OF_VIEW = Decision(PassState.SKIPPED, "out of view")
@@ -67,8 +66,9 @@ class FaceBlend:
             self._balls.append((slice(end, end + len(ball)), level.positions[ball] - center, eye.radius))
             end += len(ball)
             own = [name.startswith("eye") and name.endswith(side.capitalize()) for name in SHAPES]
-            near = np.linalg.norm(rest - center, axis=1)
-            lids = np.flatnonzero(face.offsets[own].any(axis=(0, 2)) & (near < LID_REACH * eye.radius))
+            near, farthest = np.linalg.norm(rest - center, axis=1), np.linalg.norm(face.offsets[own], axis=2).sum(0)
+            # that could come near
+            lids = np.flatnonzero((farthest > 0) & (near < eye.radius + CLEARANCE + farthest))
             self._lids.append((lids, rest[lids] - center, np.minimum(near[lids], eye.radius + CLEARANCE)))
 
     def offsets(self, frame: FaceFrame) -> Float32[Array, "texels 4"]:
@@ -81,20 +81,20 @@ class FaceBlend:
             self._balls, self._lids, frame.gaze.tolist(), strict=True
         ):
             if any(gaze):
-                out[slots, :3] = from_center @ (eye_turn(*gaze) - np.eye(3)).T.astype(np.float32)
+                out[slots, :3] = from_center @ (eye_turn(*gaze) - IDENTITY).T.astype(np.float32)
                 out[slots, 3] = 1 / radius
             if len(active):
                 there = rest + by[lids]
-                distance = np.linalg.norm(there, axis=1)
-                short = least / np.maximum(distance, 1e-9)
-                by[lids] += there * (np.maximum(short, 1) - 1)[:, None]
+                distance = np.sqrt(np.einsum("ni,ni->n", there, there))
+                by[lids] += there * (np.maximum(least / np.maximum(distance, 1e-9), 1) - 1)[:, None]
         out[self._moving, :3] = by
         return out
 
 
 def eye_turn(yaw: float, pitch: float) -> Array:
     """How an eye turns, radians: to the person's left, and upwards."""
-    return matrix_from_axis_angle(np.array([0.0, yaw, 0.0])) @ matrix_from_axis_angle(np.array([-pitch, 0.0, 0.0]))
+    (cy, sy), (cp, sp) = ((math.cos(angle), math.sin(angle)) for angle in (yaw, pitch))
+    return np.array([[cy, -sy * sp, sy * cp], [0.0, cp, sp], [-sy, -cy * sp, cy * cp]])
 
 
 def within_limits(frame: FaceFrame) -> FaceFrame:

@@ -238,10 +238,12 @@ class Renderer:
         if len(inputs.poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(inputs.poses)}")
         bones = [poser.posed(*pose[:2], camera) for poser, pose in zip(self.posers, inputs.poses, strict=True)]
-        self._plan_faces(inputs, bones)
         reaches = [max(item.reach(k, pose) for item in self.plan.passes) for k, pose in enumerate(inputs.poses)]
         bounds = [screen_bounds(self._bulging(one, far), camera) for one, far in zip(bones, reaches, strict=True)]
         visible = [one.shows(camera) for one in bounds]
+        if self._plan_faces(inputs, bones, visible):
+            self._frame(inputs, only=only)
+            return
         planes = clip_planes(np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).ravel())
         look = self.look._replace(view_amount=self.view_amount)
         drawing = Drawing(inputs, self.resources, look, bones, bounds, visible, planes, reaches)
@@ -258,16 +260,17 @@ class Renderer:
                 item.draw(drawing)
         self.drawn, self.last = drawn, inputs
 
-    def _plan_faces(self, inputs: FrameInputs, bones: Sequence[PosedBones]) -> None:
-        """Bring faces that move for the first time into the plan."""
+    def _plan_faces(self, inputs: FrameInputs, bones: Sequence[PosedBones], visible: Sequence[bool]) -> bool:
+        """Bring faces that move for the first time into the plan; whether there are any."""
         moved = {
-            number for number, (pose, one) in enumerate(zip(inputs.poses, bones, strict=True))
-            if number not in self.faces and self.avatars[number].eyes is not None
-            and moves_face(pose, one, inputs.camera)
+            number for number, (avatar, pose) in enumerate(zip(self.avatars, inputs.poses, strict=True))
+            if number not in self.faces and avatar.eyes is not None and visible[number]
+            and moves_face(pose, bones[number], inputs.camera)
         }  # fmt: skip
         if moved:
             self.faces |= moved
             self._apply(self._resolved(self.plan.kept))
+        return bool(moved)
 
     def _bulging(self, bones: PosedBones, reach: float) -> PosedBones:
         """The bones with spheres that hold what they move, in the skinning asked for; reach: of loose parts, metres."""
