@@ -37,7 +37,7 @@ class GltfBuilder:
             raise ValueError(f"glTF cannot hold an array of shape {values.shape} and dtype {values.dtype}")
         stored = values.swapaxes(-1, -2) if kind.startswith("MAT") else values
         accessor: JsonObject = {
-            "bufferView": self._add_view(np.ascontiguousarray(stored).tobytes(), target),
+            "bufferView": self.add_view(np.ascontiguousarray(stored).tobytes(), target),
             "componentType": component,
             "count": len(values),
             "type": kind,
@@ -55,10 +55,10 @@ class GltfBuilder:
         everything = np.concatenate([values, np.zeros((int(len(values) < count), 3), np.float32)])
         rows = rows.astype(np.uint16 if count <= 1 << 16 else np.uint32)
         indices = {
-            "bufferView": self._add_view(rows.tobytes(), None),
+            "bufferView": self.add_view(rows.tobytes(), None),
             "componentType": 5123 if rows.itemsize == 2 else 5125,
         }
-        stored = {"bufferView": self._add_view(np.ascontiguousarray(values).tobytes(), None)}
+        stored = {"bufferView": self.add_view(np.ascontiguousarray(values).tobytes(), None)}
         self.accessors.append(
             {
                 "componentType": 5126,
@@ -73,10 +73,11 @@ class GltfBuilder:
 
     def add_image(self, data: bytes, name: str) -> int:
         """Store a PNG and return its index."""
-        self.images.append({"name": name, "mimeType": "image/png", "bufferView": self._add_view(data, None)})
+        self.images.append({"name": name, "mimeType": "image/png", "bufferView": self.add_view(data, None)})
         return len(self.images) - 1
 
-    def _add_view(self, data: bytes, target: int | None) -> int:
+    def add_view(self, data: bytes, target: int | None) -> int:
+        """Store bytes, four-byte aligned, and return their buffer view."""
         self.binary.extend(b"\0" * (-len(self.binary) % 4))
         view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}
         if target is not None:
