@@ -26,6 +26,13 @@ SHAPES = (
     "cheekPuff", "cheekSquintLeft", "cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut",
 )  # fmt: skip
 
+# the number of each shape's on the other side; its own where it is its own mirror image
+PARTNERS = tuple(
+    SHAPES.index(name[: -len(side)] + other) if name.endswith(side) else number
+    for number, name in enumerate(SHAPES)
+    for side, other in (("Left", "Right") if name.endswith("Left") else ("Right", "Left"),)
+)
+
 
 @dataclass(frozen=True)
 class Eye:
@@ -64,6 +71,11 @@ class FaceFrame:
 
 
 REST = FaceFrame(np.zeros(len(SHAPES)), np.zeros((2, 2)))
+
+
+def mirrored_face(frame: FaceFrame) -> FaceFrame:
+    """The other side does what this one does."""
+    return FaceFrame(frame.weights[list(PARTNERS)], frame.gaze[::-1] * [-1.0, 1.0])
 
 
 def face_between(a: FaceFrame | None, b: FaceFrame | None, part: float) -> FaceFrame | None:
