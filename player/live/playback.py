@@ -9,6 +9,7 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar
 from avatar.face import face_between
 from player.live.frame import LivePose
+from player.live.gains import Gains
 from player.live.inbox import SILENT, Inbox
 from player.live.latency import DRAWN, Latency
 from player.live.one_euro import OneEuro
@@ -39,6 +40,7 @@ class LivePlayback:
         *,
         smooth: float | None = None,
         calibrate_after: float | None = None,
+        gains: Gains | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):
         self.inbox, self.address, self.clock = inbox, address, clock
@@ -46,6 +48,7 @@ class LivePlayback:
         self.heights = [pelvis_height(avatar) for avatar in avatars]
         self.legs = [leg_length(joint_offsets(avatar.joint_positions.astype(np.float64))) for avatar in avatars]
         self.filter = OneEuro(smooth) if smooth is not None else None
+        self.gains = gains
         self.latency = Latency()
         self.countdown = calibrate_after
         self.origin: Float[np.ndarray, "3"] | None = None  # in the sender's metres
@@ -82,6 +85,8 @@ class LivePlayback:
         if found is not None:
             frame, pose = found
             self.latency.applied(frame, now)
+            if self.gains is not None and pose.face is not None:
+                pose = pose._replace(face=self.gains(pose.face, now))
             dt = now - self.sampled if self.sampled is not None else 0.0
             self.shown = self.filter(pose, dt) if self.filter else pose
             gone = (now - frame.received - SILENT) / FADE
@@ -123,6 +128,8 @@ class LivePlayback:
         count = facts.counters
         if self.countdown is not None:
             return f"{self.address}  hold a T-pose: {self.countdown:.0f}"
+        if self.gains is not None and self.gains.left(self.clock()):
+            return f"{self.address}  pull faces, as wide as you can: {self.gains.left(self.clock()):.0f}"
         if facts.age is None:
             bad = f", {count.malformed + count.oversized} packets are no poses" if count.received else ""
             return f"{self.address}  waiting for poses{bad}"

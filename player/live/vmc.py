@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.face import FaceFrame
+from avatar.face import SHAPES, FaceFrame
 from avatar.face_names import shapes_called, weights_of
 from avatar.rotation import quaternion_from_axis_angle
 from avatar.skeleton import PARENTS
@@ -242,7 +242,7 @@ def joint_offsets(joints: Float[Array, "52 3"]) -> Float[Array, "52 3"]:
 
 
 class VmcEncoder:
-    """Poses to bundles, one a frame: all bones of a frame arrive, or none. 52 bones, about 4 KB."""
+    """Poses to bundles, one a frame: all bones of a frame arrive, or none. 52 bones are about 4 KB, a face 3."""
 
     def __init__(self, joints: Float[Array, "52 3"]):
         self.offsets = joint_offsets(joints) * [-1.0, 1, 1]
@@ -250,11 +250,19 @@ class VmcEncoder:
         self.root = build_message("/VMC/Ext/Root/Pos", "root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
         self.ok = build_message("/VMC/Ext/OK", 1, 3, 0, 1)
 
-    def encode(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], seconds: float | int) -> bytes:
-        """The bundle of a pose; `seconds` is the sender's clock."""
+    def encode(
+        self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], seconds: float | int,
+        face: FaceFrame | None = None,
+    ) -> bytes:  # fmt: skip
+        """The bundle of a pose; `seconds` is the sender's clock. A gaze is sent as the eyeLook* shapes say it."""
         positions = self.offsets.copy()
         positions[0] = root * np.array([-1.0, 1, 1])
         rotations = quaternion_from_axis_angle(axis_angle) * np.array([1.0, -1, -1, 1])
         numbers = np.concatenate([positions, rotations], 1).astype(">f4")
         bones = [head + row.tobytes() for head, row in zip(self.heads, numbers, strict=True)]
-        return build_bundle([self.ok, build_message("/VMC/Ext/T", float(seconds)), self.root, *bones])
+        blends = []
+        if face is not None:
+            shapes = zip(SHAPES, face.weights.tolist(), strict=True)
+            blends = [build_message("/VMC/Ext/Blend/Val", name, weight) for name, weight in shapes]
+            blends.append(build_message("/VMC/Ext/Blend/Apply"))
+        return build_bundle([self.ok, build_message("/VMC/Ext/T", float(seconds)), self.root, *bones, *blends])

@@ -6,13 +6,17 @@ import time
 import numpy as np
 import pytest
 
+from avatar.body import builtin_body
 from avatar.face import REST, SHAPES, FaceFrame
-from avatar.gaze import YAW, turned_head
+from avatar.gaze import YAW, gaze_of, turned_head
+from avatar.motion.clip import Clip
 from avatar.motion.read import read_motion
 from avatar.skeleton import JOINT_NUMBERS as J
 from player.draw.drawing import Pose
+from player.live.command import encoder, timed_poses
 from player.live.face_sender import with_head
 from player.live.frame import LivePose
+from player.live.gains import Gains
 from player.live.inbox import Inbox
 from player.live.json_pose import PoseError, build_pose, parse_pose
 from player.live.openseeface import FEATURES, HEAD, SIZE
@@ -179,6 +183,27 @@ def test_a_face_of_a_sender_that_goes_is_held_then_rests_and_the_body_stays_with
     found = with_head(Pose(turned, np.ones(3)), Pose(turned_head(np.array([0.2, 0.0, 0.0])), np.zeros(3), REST))
     assert np.allclose(found.axis_angle[[J["neck"], J["head"], J["left_elbow"]], 1], [0.08, 0.42, 0.3])
     assert found.face is REST and (found.root == 1).all()
+
+
+@pytest.mark.parametrize("kind", ["vmc", "udp"])
+def test_a_motion_with_a_face_streams_out_and_comes_in_again(kind):
+    faces, still = np.random.default_rng(0).uniform(size=(3, 52)), np.zeros((3, 52, 3))
+    motion = Clip(still, np.zeros((3, 3)), 30.0, face=faces, gaze=gaze_of(faces))
+    encode, inbox = encoder(kind, builtin_body("male")), Inbox(kind)
+    for number, (seconds, pose) in enumerate(timed_poses(motion, 60.0, loop=False)):
+        inbox.feed(encode(number, seconds, pose), seconds)
+        row = number / 2
+        wanted = (faces[int(row)] + faces[int(row + 0.5)]) / 2
+        assert np.allclose(inbox.sample()[1].face.weights, wanted, atol=1e-4)
+
+
+def test_after_five_seconds_of_grimaces_every_shape_that_moved_goes_to_one():
+    gains, weights = Gains(), np.zeros(52)
+    for shape, value in ((6, 0.3), (17, 1.0), (20, 0.01), (30, 0.1)):
+        weights[shape] = value
+    assert np.array_equal(gains(FaceFrame(weights, np.zeros((2, 2))), 10.0).weights, weights) and gains.left(12.0) == 3
+    found = gains(FaceFrame(0.5 * weights, np.full((2, 2), 0.1)), 15.1)
+    assert np.allclose(found.weights[[6, 17, 20, 30]], [0.5, 0.5, 0.005, 0.2]) and np.allclose(found.gaze, 0.1)
 
 
 def test_a_take_keeps_faces_and_one_without_has_none(tmp_path):
