@@ -1,8 +1,8 @@
 """How far each shape of a sender goes: trackers leave some of them near 0 on many faces, wide eyes above all.
 
 For GRIMACE seconds from the first face on the person pulls faces, as wide as they can; from then on the largest value
-of each shape is 1. Shapes that hardly moved stay as they are, and none is made more than MOST times larger. A take keeps
-what came, without it.
+of each shape is 1. Shapes that hardly moved stay as they are, and none is made more than MOST times larger. A take
+keeps what came, without it.
 """
 
 import numpy as np
