@@ -32,9 +32,14 @@ class SentFace(NamedTuple):
     head: tuple[float, float, float] = (0.0, 0.0, 0.0)
     sent: float | None = None  # seconds on the sender's clock
 
+    @property
+    def pose(self) -> LivePose:
+        """The pose of it, in T-pose but for the head."""
+        return LivePose(turned_head(np.array(self.head)), np.zeros(3), self.face)
+
 
 class FaceDecoder:
-    """Datagrams of one protocol to poses. What is cut, not finite or old is counted, and the last good face stays."""
+    """Datagrams of one protocol to faces. What is cut, not finite or old is counted, and the last good face stays."""
 
     largest = 16384  # bytes
 
@@ -43,7 +48,7 @@ class FaceDecoder:
         self.clock: float | None = None
 
     def decode(self, data: bytes | str, _received: float | int, counters: Counters) -> Decoded | None:
-        """The pose of a datagram; None where it is not used: the counters say why."""
+        """The face of a datagram; None where it is not used: the counters say why."""
         try:
             assert isinstance(data, bytes)
             found = self.parse(data)
@@ -57,7 +62,7 @@ class FaceDecoder:
             counters.late += sent < last
             return None
         self.clock = sent
-        return Decoded(LivePose(turned_head(np.array(found.head)), np.zeros(3), found.face), True, sent, restarted)
+        return Decoded(found, True, sent, restarted)
 
 
 def sent_face(weights: Float[Array, "52"], gaze: Float[Array, "2 2"] | None = None) -> FaceFrame:

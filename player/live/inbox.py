@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from player.live.calibration import calibrated, identity_calibration, pose_from_rig
-from player.live.face_sender import FaceDecoder
+from player.live.face_sender import FaceDecoder, SentFace
 from player.live.frame import Counters, Decoded, LiveFrame, LivePose
 from player.live.ifacialmocap import parse_ifacialmocap
 from player.live.json_pose import JsonDecoder, JsonPose
@@ -132,10 +132,8 @@ class Inbox:
         """A frame in our joints and world, of the sender's body."""
         if isinstance(frame.content, VmcState):
             return pose_from_rig(rig_from_state(frame.content), self.calibration, frame.content.face)
-        if isinstance(frame.content, JsonPose):
-            return frame.content.pose
-        assert isinstance(frame.content, LivePose)
-        return frame.content
+        assert isinstance(frame.content, JsonPose | SentFace)
+        return frame.content.pose
 
     def leg(self) -> float | None:
         """Leg length of the sender's body (vmc.leg_length), where its bones have lengths."""

@@ -15,7 +15,7 @@ BUDGET = {
     "capture": 11_265,
     "train": 5_365,
     "bake": 4_439,
-    "player": 19_152,
+    "player": 19_155,
     "shaders": 1_007,
     "synth": 2_688,
     "bench": 5_515,
