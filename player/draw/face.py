@@ -56,20 +56,20 @@ class FaceBlend:
         # metres that each shape moves a vertex by at most
         self.farthest = np.linalg.norm(face.offsets, axis=2).max(1)
         rest = level.positions[face.vertices]
-        self._moving = slice(1, 1 + len(rest))
+        self.moving = slice(1, 1 + len(rest))
         # by eye: its ball's slots, from its center; its lids among the moving, from its center, and how near they come
-        self._balls: list[tuple[slice, Array, float]] = []
-        self._lids: list[tuple[Array, Array, Array]] = []
-        end = self._moving.stop
+        self.balls: list[tuple[slice, Array, float]] = []
+        self.lids: list[tuple[Array, Array, Array]] = []
+        end = self.moving.stop
         for side, eye, ball in zip(SIDES, eyes, balls, strict=True):
             center = eye.center.astype(np.float32)
-            self._balls.append((slice(end, end + len(ball)), level.positions[ball] - center, eye.radius))
+            self.balls.append((slice(end, end + len(ball)), level.positions[ball] - center, eye.radius))
             end += len(ball)
             own = [name.startswith("eye") and name.endswith(side.capitalize()) for name in SHAPES]
             near, farthest = np.linalg.norm(rest - center, axis=1), np.linalg.norm(face.offsets[own], axis=2).sum(0)
             # that could come near
             lids = np.flatnonzero((farthest > 0) & (near < eye.radius + CLEARANCE + farthest))
-            self._lids.append((lids, rest[lids] - center, np.minimum(near[lids], eye.radius + CLEARANCE)))
+            self.lids.append((lids, rest[lids] - center, np.minimum(near[lids], eye.radius + CLEARANCE)))
 
     def offsets(self, frame: FaceFrame) -> Float32[Array, "texels 4"]:
         """Offsets by slot, metres; the fourth number is 1 / r of a ball, whose normals turn with it, else 0."""
@@ -78,7 +78,7 @@ class FaceBlend:
         active = np.flatnonzero(weights)
         by = (weights[active] @ self.shapes[active]).reshape(-1, 3)
         for (slots, from_center, radius), (lids, rest, least), gaze in zip(
-            self._balls, self._lids, frame.gaze.tolist(), strict=True
+            self.balls, self.lids, frame.gaze.tolist(), strict=True
         ):
             if any(gaze):
                 out[slots, :3] = from_center @ (eye_turn(*gaze) - IDENTITY).T.astype(np.float32)
@@ -87,7 +87,7 @@ class FaceBlend:
                 there = rest + by[lids]
                 distance = np.sqrt(np.einsum("ni,ni->n", there, there))
                 by[lids] += there * (np.maximum(least / np.maximum(distance, 1e-9), 1) - 1)[:, None]
-        out[self._moving, :3] = by
+        out[self.moving, :3] = by
         return out
 
 
