@@ -109,8 +109,7 @@ class Stage:
     def faced(self, poses: list[Pose], frame: float, camera: Camera) -> list[Pose]:
         """The poses with what faces do at a frame of the film, seen through this camera."""
         seconds = frame / self.rate
-        acting = zip([track.acting for track in self.tracks], poses, strict=True)
-        return [pose if one is None else one.faced(pose, seconds, camera.eye) for one, pose in acting]
+        return [track.faced(pose, seconds, camera.eye) for track, pose in zip(self.tracks, poses, strict=True)]
 
     def fit(self, start: int, stop: int) -> Fit | None:
         """What the fitted cameras of a film of these frames look at; None for cameras from files."""

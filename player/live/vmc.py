@@ -5,12 +5,13 @@ we are right-handed, so x is mirrored and left stays left:
 
     p' = (-x, y, z)        q' = (x, -y, -z, w)
 
-Bones that a sender lacks (often UpperChest) stay at rest; eyes, jaw and unknown names are ignored. The pelvis is
+Bones that a sender lacks (often UpperChest) stay at rest; jaw and unknown names are ignored. The pelvis is
 root pose times Hips pose. A sender's bones are taken as normalised (identity in T-pose, as VRM 0) until
 `calibration` says otherwise.
 
 `/VMC/Ext/Blend/Val` gives a value under an expression's name (avatar/face_names.py), as often as a sender likes;
-`/VMC/Ext/Blend/Apply` shows what came since the last one, and values hold until they are sent again.
+`/VMC/Ext/Blend/Apply` shows what came since the last one, and values hold until they are sent again. Eyes look where
+both eyes' bones turn, where they are sent and turn at all, else where the eyeLook* shapes say.
 """
 
 from collections import deque
@@ -20,9 +21,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.face import SHAPES, FaceFrame
+from avatar.face import REST, SHAPES, FaceFrame
 from avatar.face_names import shapes_called, weights_of
-from avatar.rotation import quaternion_from_axis_angle
+from avatar.gaze import angles_of, with_looks, within_reach
+from avatar.rotation import matrix_from_quaternion, quaternion_from_axis_angle
 from avatar.skeleton import PARENTS
 from player.live.face_sender import sent_face
 from player.live.frame import Counters, Decoded
@@ -61,7 +63,8 @@ def _joints(vrm1_thumbs: bool) -> dict[str, int]:
 
 
 JOINT_OF = {False: _joints(False), True: _joints(True)}
-KNOWN = frozenset(JOINT_OF[True])
+EYES = ("lefteye", "righteye")
+KNOWN = frozenset(JOINT_OF[True]) | {*EYES}
 
 
 class VmcState(NamedTuple):
@@ -202,6 +205,26 @@ def _pose(arguments: tuple) -> Bone | None:
     except TypeError:
         pass
     return None
+
+
+def gaze_of_bones(bones: dict[str, Bone]) -> Float[Array, "2 2"] | None:
+    """The gaze of the eyes' bones; None where they were not sent, or do not turn."""
+    if not all(name in bones for name in EYES):
+        return None
+    turns = np.array([bones[name][3:] for name in EYES]) * [1.0, -1, -1, 1]
+    if np.abs(turns[:, :3]).max() < 1e-6:
+        return None
+    ahead = matrix_from_quaternion(turns / np.linalg.norm(turns, axis=1, keepdims=True))[:, :, 2]
+    return within_reach(np.stack([angles_of(one) for one in ahead]))
+
+
+def face_of(state: VmcState) -> FaceFrame | None:
+    """The face of a state, the lids of a gaze of bones with it; None: the sender says nothing of it."""
+    gaze = gaze_of_bones(state.bones)
+    if gaze is None:
+        return state.face
+    weights = REST.weights if state.face is None else state.face.weights
+    return FaceFrame(with_looks(weights, gaze), gaze)
 
 
 def rig_from_state(state: VmcState) -> VmcRig:

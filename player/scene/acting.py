@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +10,7 @@ from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar
 from avatar.face import REST, FaceFrame
-from avatar.gaze import DOWN, UP, YAW, gaze_at, within_reach
+from avatar.gaze import DOWN, UP, YAW, angles_of, gaze_at, within_reach
 from avatar.skeleton import JOINT_NUMBERS, joint_transforms
 from files.sound import read_wav
 from player.draw.drawing import Pose
@@ -20,6 +21,16 @@ from player.scene.scene import SceneAvatar
 HEAD = JOINT_NUMBERS["head"]
 # seconds of a film in which nothing but life happens
 ALONE = 10.0
+# seconds by which eyes are ahead of a head that turns
+LEAD = 0.2
+
+
+class Look(NamedTuple):
+    """What eyes can look at."""
+
+    eye: Float[Array, "3"]  # the camera's place, world
+    # the pose LEAD seconds later: eyes get there before the head
+    ahead: Pose | None = None
 
 
 @dataclass(frozen=True)
@@ -42,28 +53,37 @@ class Acting:
         # the turns are small: order does not matter
         return pose._replace(axis_angle=pose.axis_angle + sway(self.seed, seconds))
 
-    def faced(self, pose: Pose, seconds: float, eye: Float[Array, "3"], lived: float | None = None) -> Pose:
-        """The pose with what the face does at a moment; `eye` is the camera's place, world, at which it looks; `lived`
-        is the moment of life where that is another."""
+    def faced(self, pose: Pose, seconds: float, look: Look, lived: float | None = None) -> Pose:
+        """The pose with what the face does at a moment; `lived` is the moment of life where that is another."""
         face = pose.face
         if face is None and self.seed is not None:
-            face = life(self.seed, seconds if lived is None else lived, self.look(pose, eye))
+            face = life(self.seed, seconds if lived is None else lived, self.gaze(pose, look))
         if self.speech is not None:
             face = face or REST
             face = FaceFrame(np.clip(face.weights + self.speech.weights(seconds), 0.0, 1.0), face.gaze)
         return pose._replace(face=face)
 
-    def look(self, pose: Pose, point: Float[Array, "3"]) -> Float[Array, "2 2"]:
-        """The gaze at a point; farther aside than eyes turn it goes to where the head is turned."""
+    def gaze(self, pose: Pose, look: Look) -> Float[Array, "2 2"]:
+        """The gaze at the camera; where that is farther aside than eyes turn, ahead to where the head will be."""
         if self.avatar.eyes is None:
             return np.zeros((2, 2))
-        joints = self.avatar.joint_positions.astype(np.float64)
-        posed = joint_transforms(pose.axis_angle, joints, pose.root)[HEAD]
-        canonical = joint_transforms(self.avatar.canonical_pose, joints)[HEAD]
-        gaze = gaze_at(point, self.avatar.eyes, posed @ np.linalg.inv(canonical))
-        yaw, pitch = gaze.mean(0)
-        beyond = max(abs(yaw) / YAW, pitch / UP, -pitch / DOWN)
-        return within_reach(gaze) * min(max(2.0 - beyond, 0.0), 1.0)
+        head, gaze = self._head(pose), np.zeros((2, 2))
+        if look.ahead is not None:
+            gaze += angles_of(head[:3, :3].T @ self._head(look.ahead)[:3, 2])
+        canonical = joint_transforms(self.avatar.canonical_pose, self._joints)[HEAD]
+        at = gaze_at(look.eye, self.avatar.eyes, head @ np.linalg.inv(canonical))
+        yaw, pitch = at.T
+        # of each eye: behind the head, their mean is ahead
+        beyond = max(np.abs(yaw).max() / YAW, pitch.max() / UP, -pitch.min() / DOWN)
+        share = min(max(2.0 - beyond, 0.0), 1.0)
+        return share * within_reach(at) + (1.0 - share) * within_reach(gaze)
+
+    def _head(self, pose: Pose) -> Float[Array, "4 4"]:
+        return joint_transforms(pose.axis_angle, self._joints, pose.root)[HEAD]
+
+    @property
+    def _joints(self) -> Float[Array, "52 3"]:
+        return self.avatar.joint_positions.astype(np.float64)
 
 
 def opened_acting(entry: SceneAvatar, avatar: Avatar) -> Acting | None:

@@ -11,7 +11,7 @@ from avatar.face import face_between
 from avatar.motion.clip import Clip, Motion
 from player.draw.drawing import FASTEST, TURNED, Pose
 from player.effects.foot_lock import FootLock
-from player.scene.acting import Acting
+from player.scene.acting import LEAD, Acting, Look
 from player.scene.motions import BLOCK
 
 
@@ -54,6 +54,13 @@ class Track:
     def pose(self, seconds: float | int, lived: float | None = None) -> Pose:
         """The pose at a moment, in its place; `lived` is the moment of life where that is another."""
         return self.placed(self._swaying(self._own(self.frame(seconds)), seconds if lived is None else lived))
+
+    def faced(self, pose: Pose, seconds: float, eye: Float[np.ndarray, "3"], lived: float | None = None) -> Pose:
+        """A pose of it at a moment of the timeline with what the face does then, before a camera at `eye`, world."""
+        if self.acting is None:
+            return pose
+        ahead = self.pose(seconds + LEAD, lived) if self.motion.frames > 1 else None
+        return self.acting.faced(pose, seconds, Look(eye, ahead), lived)
 
     def _swaying(self, pose: Pose, seconds: float) -> Pose:
         """A body that no motion moves, breathing where that is asked for."""

@@ -50,9 +50,8 @@ class Playback:
 
     def faced(self, poses: Sequence[Pose], eye: Float[np.ndarray, "3"]) -> list[Pose]:
         """The poses with what faces do now, before a camera at `eye`."""
-        acting = zip([track.acting for track in self.tracks], poses, strict=True)
         now = self.timeline.seconds
-        return [pose if one is None else one.faced(pose, now, eye, self.lived) for one, pose in acting]
+        return [track.faced(pose, now, eye, self.lived) for track, pose in zip(self.tracks, poses, strict=True)]
 
     @property
     def lives(self) -> bool:

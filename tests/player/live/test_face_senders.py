@@ -197,6 +197,20 @@ def test_a_motion_with_a_face_streams_out_and_comes_in_again(kind):
         assert np.allclose(inbox.sample()[1].face.weights, wanted, atol=1e-4)
 
 
+def test_the_bones_of_eyes_turn_the_gaze_and_lids_follow():
+    s, c = np.sin(0.1), np.cos(0.1)
+    # left-handed, y up: down by 0.2 rad, and to the person's left, which is -x there
+    down, left = (s, 0.0, 0.0, c), (0.0, -s, 0.0, c)
+    for turn, wanted in ((down, [0, -0.2]), (left, [0.2, 0])):
+        eyes = [build_message("/VMC/Ext/Bone/Pos", name, 0.0, 0.0, 0.0, *turn) for name in ("LeftEye", "RightEye")]
+        inbox, pose = received("vmc", vmc({"jawOpen": 0.5}), build_bundle(eyes))
+        assert (
+            np.allclose(pose.face.gaze, [wanted] * 2, atol=1e-6) and pose.face.weights[SHAPES.index("jawOpen")] == 0.5
+        )
+        assert (pose.face.weights[SHAPES.index("eyeLookDownLeft")] > 0.3) == (turn is down)
+        assert np.linalg.norm(pose.axis_angle) == 0
+
+
 def test_after_five_seconds_of_grimaces_every_shape_that_moved_goes_to_one():
     gains, weights = Gains(), np.zeros(52)
     for shape, value in ((6, 0.3), (17, 1.0), (20, 0.01), (30, 0.1)):
