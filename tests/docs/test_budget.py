@@ -15,7 +15,7 @@ BUDGET = {
     "capture": 11_265,
     "train": 5_365,
     "bake": 4_439,
-    "player": 18_309,
+    "player": 18_314,
     "shaders": 1_007,
     "synth": 2_688,
     "bench": 5_529,
