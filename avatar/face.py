@@ -4,6 +4,7 @@ A shape is what its vertices are moved by at a weight of 1; shapes add up. An ey
 its center; lids stay outside of it. Canonical frame of the avatar, metres; left is the person's left.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,3 +85,9 @@ def face_between(a: FaceFrame | None, b: FaceFrame | None, part: float) -> FaceF
         return None
     a, b = a or REST, b or REST
     return FaceFrame(a.weights + part * (b.weights - a.weights), a.gaze + part * (b.gaze - a.gaze))
+
+
+def eye_turn(yaw: float, pitch: float) -> Float[Array, "3 3"]:
+    """How an eye turns, radians: to the person's left, and upwards."""
+    (cy, sy), (cp, sp) = ((math.cos(angle), math.sin(angle)) for angle in (yaw, pitch))
+    return np.array([[cy, -sy * sp, sy * cp], [0.0, cp, sp], [-sy, -cy * sp, cy * cp]])

@@ -8,7 +8,6 @@ Every pass that draws the avatar adds o to the canonical position before the bon
 face has not moved yet has none of this in its plan; where its face rests or cannot be seen nothing is uploaded.
 """
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from numpy import ndarray as Array
 
 from avatar.baked_avatar import Level
 from avatar.camera import Camera
-from avatar.face import REST, SHAPES, SIDES, Eye, FaceFrame
+from avatar.face import REST, SHAPES, SIDES, Eye, FaceFrame, eye_turn
 from avatar.skeleton import JOINT_NUMBERS
 from player.draw.drawing import Drawing, FrameInputs, Pose
 from player.draw.plan import FACE_UNIT, Attributes, Decision, Draft, Pass, PassState, vertex_order
@@ -89,12 +88,6 @@ class FaceBlend:
                 by[lids] += there * (np.maximum(least / np.maximum(distance, 1e-9), 1) - 1)[:, None]
         out[self.moving, :3] = by
         return out
-
-
-def eye_turn(yaw: float, pitch: float) -> Array:
-    """How an eye turns, radians: to the person's left, and upwards."""
-    (cy, sy), (cp, sp) = ((math.cos(angle), math.sin(angle)) for angle in (yaw, pitch))
-    return np.array([[cy, -sy * sp, sy * cp], [0.0, cp, sp], [-sy, -cy * sp, cy * cp]])
 
 
 def within_limits(frame: FaceFrame) -> FaceFrame:
