@@ -41,7 +41,7 @@ DWELL, DWELL_SPREAD, DWELL_AWAY, AWAY_SPREAD = 0.85, 0.5, 0.7, 0.75
 BREATHS = (12.0, 16.0)  # a minute
 
 
-def life(seed: int, seconds: float, look: Float[Array, "2 2"] | None = None) -> FaceFrame:
+def life(seed: int, seconds: float | int, look: Float[Array, "2 2"] | None = None) -> FaceFrame:
     """The face at a moment. `look` is the gaze at what is looked at (avatar/gaze.py); None: straight ahead."""
     aim = np.zeros((2, 2)) if look is None else look
     gaze = within_reach(within_reach(aim) + wander(seed, seconds))
@@ -50,7 +50,7 @@ def life(seed: int, seconds: float, look: Float[Array, "2 2"] | None = None) -> 
     return FaceFrame(with_looks(weights, gaze), gaze)
 
 
-def blink(seed: int, seconds: float) -> float:
+def blink(seed: int, seconds: float | int) -> float:
     """How far the lids are closed, from 0 to 1."""
     block = int(np.floor(seconds / BLOCK))
     # a blink at a block's end goes on in the next
@@ -58,7 +58,7 @@ def blink(seed: int, seconds: float) -> float:
     return max((lid(one) for one in since if 0 <= one < CLOSING + CLOSED + OPENING), default=0.0)
 
 
-def lid(since: float) -> float:
+def lid(since: float | int) -> float:
     """How far a lid is closed so many seconds after a blink began."""
     if since < CLOSING:
         return float(0.5 - 0.5 * np.cos(np.pi * max(since, 0.0) / CLOSING))
@@ -79,7 +79,7 @@ def _blinks(seed: int, block: int) -> tuple[float, ...]:
     return tuple((block * BLOCK + begun[begun < BLOCK - SHORTEST]).tolist())
 
 
-def wander(seed: int, seconds: float) -> Float[Array, "2"]:
+def wander(seed: int, seconds: float | int) -> Float[Array, "2"]:
     """Yaw and pitch by which both eyes are off what they look at, radians."""
     block = int(np.floor(seconds / BLOCK))
     begun, places = _fixations(seed, block)
@@ -112,7 +112,7 @@ def _fixations(seed: int, block: int) -> tuple[Float[Array, "n"], Float[Array, "
     return begun, places
 
 
-def sway(seed: int, seconds: float) -> Float[Array, "52 3"]:
+def sway(seed: int, seconds: float | int) -> Float[Array, "52 3"]:
     """What breath and a shifting weight add to the axis-angles of a body that stands still, radians."""
     breath = 2 * np.pi * (_own(seed, *BREATHS) / 60 * seconds + _own(seed + 1, 0.0, 1.0))
     # breathing out takes longer
@@ -131,7 +131,7 @@ def sway(seed: int, seconds: float) -> Float[Array, "52 3"]:
     return turns
 
 
-def _drift(seed: int, stream: int, seconds: float) -> float:
+def _drift(seed: int, stream: int, seconds: float | int) -> float:
     """A slow wander of order 1: sines of .05 to .35 Hz, the slow ones the larger."""
     hertz, phase = _waves(seed, stream)
     return float([0.6, 0.4, 0.25, 0.15] @ np.sin(2 * np.pi * hertz * seconds + phase))

@@ -58,7 +58,7 @@ class Speech:
         self.seconds = sound.seconds
         self.frames = mouth_shapes(sound)
 
-    def weights(self, seconds: float) -> Float[Array, "52"]:
+    def weights(self, seconds: float | int) -> Float[Array, "52"]:
         """At a moment; none before and after the sound."""
         at = seconds / STEP
         if not 0 <= at < len(self.frames):

@@ -106,7 +106,7 @@ class Stage:
             return self.poses(frame)
         return [track.pose_beside(frame / self.rate, share / self.rate) for track in self.tracks]
 
-    def faced(self, poses: list[Pose], frame: float, camera: Camera) -> list[Pose]:
+    def faced(self, poses: list[Pose], frame: float | int, camera: Camera) -> list[Pose]:
         """The poses with what faces do at a frame of the film, seen through this camera."""
         seconds = frame / self.rate
         return [track.faced(pose, seconds, camera.eye) for track, pose in zip(self.tracks, poses, strict=True)]

@@ -22,11 +22,11 @@ class Gains:
         self.began: float | None = None
         self.largest = np.zeros(52)
 
-    def left(self, now: float) -> float:
+    def left(self, now: float | int) -> float:
         """Seconds of grimacing that are left, 0 when it is over; all of them before the first face."""
         return GRIMACE if self.began is None else max(self.began + GRIMACE - now, 0.0)
 
-    def __call__(self, face: FaceFrame, now: float) -> FaceFrame:
+    def __call__(self, face: FaceFrame, now: float | int) -> FaceFrame:
         """The face with what has been learned by `now`, seconds; while it is learned, as it came."""
         if self.began is None:
             self.began = now

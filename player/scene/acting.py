@@ -42,18 +42,18 @@ class Acting:
     seed: int | None = None
     speech: Speech | None = None
 
-    def lasts(self, alone: float) -> float:
+    def lasts(self, alone: float | int) -> float:
         """Seconds of the speech; without one, of life `alone`."""
         return self.speech.seconds if self.speech is not None else 0.0 if self.seed is None else alone
 
-    def swaying(self, pose: Pose, seconds: float) -> Pose:
+    def swaying(self, pose: Pose, seconds: float | int) -> Pose:
         """A body that stands still, breathing."""
         if self.seed is None:
             return pose
         # the turns are small: order does not matter
         return pose._replace(axis_angle=pose.axis_angle + sway(self.seed, seconds))
 
-    def faced(self, pose: Pose, seconds: float, look: Look, lived: float | None = None) -> Pose:
+    def faced(self, pose: Pose, seconds: float | int, look: Look, lived: float | int | None = None) -> Pose:
         """The pose with what the face does at a moment; `lived` is the moment of life where that is another."""
         face = pose.face
         if face is None and self.seed is not None:

@@ -45,24 +45,26 @@ class Track:
         """The motion's own frame at a moment of the timeline; past its end the last is held."""
         return min(max(int((seconds + self.start) * self.motion.rate + 1e-6), 0), self.motion.frames - 1)
 
-    def lasts(self, alone: float = 0.0) -> float:
+    def lasts(self, alone: float | int = 0.0) -> float:
         """Seconds into the timeline at which motion and speech have ended, of a still body `alone` seconds of life."""
         if self.acting is None:
             return self.end
         return max(self.end, self.acting.lasts(alone if self.motion.frames == 1 else 0.0))
 
-    def pose(self, seconds: float | int, lived: float | None = None) -> Pose:
+    def pose(self, seconds: float | int, lived: float | int | None = None) -> Pose:
         """The pose at a moment, in its place; `lived` is the moment of life where that is another."""
         return self.placed(self._swaying(self._own(self.frame(seconds)), seconds if lived is None else lived))
 
-    def faced(self, pose: Pose, seconds: float, eye: Float[np.ndarray, "3"], lived: float | None = None) -> Pose:
+    def faced(
+        self, pose: Pose, seconds: float | int, eye: Float[np.ndarray, "3"], lived: float | int | None = None
+    ) -> Pose:
         """A pose of it at a moment of the timeline with what the face does then, before a camera at `eye`, world."""
         if self.acting is None:
             return pose
         ahead = self.pose(seconds + LEAD, lived) if self.motion.frames > 1 else None
         return self.acting.faced(pose, seconds, Look(eye, ahead), lived)
 
-    def _swaying(self, pose: Pose, seconds: float) -> Pose:
+    def _swaying(self, pose: Pose, seconds: float | int) -> Pose:
         """A body that no motion moves, breathing where that is asked for."""
         return pose if self.acting is None or self.motion.frames > 1 else self.acting.swaying(pose, seconds)
 
