@@ -149,7 +149,7 @@ def encoder(kind: str, body: Body, wall: Callable[[], float] = time.time) -> Enc
     return encode
 
 
-def timed_poses(motion: Motion, rate: float | int, *, loop: bool) -> Iterator[tuple[float, LivePose]]:
+def timed_poses(motion: Motion | Clip, rate: float | int, *, loop: bool) -> Iterator[tuple[float, LivePose]]:
     """The motion at a rate, read in blocks: seconds since the start, and the pose then, between frames on the
     shorter arc. The last pose is the last that is not after the motion's last frame; looping, the first frame
     follows one step after it."""

@@ -11,9 +11,12 @@ from avatar.face import SHAPES, FaceFrame
 from player.draw.drawing import Pose
 from player.draw.face import AT_REST, CLEARANCE, OUT_OF_VIEW, SMALL, FaceBlend, FaceMotion
 from player.effects.ground import Ground
+from player.effects.lens import MotionBlur
 from player.effects.light import Light
 from player.effects.outline import Outline
+from player.film.exposure import exposures
 from player.scene.effects import PLAIN, Effects
+from player.scene.mannequin import mannequin
 
 SIZE = (160, 160)
 HEAD = faced().eyes[0].center * [0, 1, 1]
@@ -101,6 +104,14 @@ def test_at_rest_far_away_or_out_of_view_it_is_the_frame_and_the_objects_of_no_f
         objects.append((renderer.plan.objects(), renderer.plan.bytes, renderer.drawn and len(renderer.drawn)))
         renderer.release()
     assert np.array_equal(*images) and calls[0] == calls[1] and objects[0] == objects[1]
+
+
+def test_a_blink_is_blurred_where_it_is_seen_and_the_avatar_has_a_face(context, render):
+    effects = replace(PLAIN, view="off", motion_blur=MotionBlur(0.5, 8))
+    blink = lambda share: standing(doing(eyeBlinkLeft=0.5 + share))
+    for avatar, camera, views in ((faced(), NEAR, 8), (faced(), FAR, 1), (mannequin(), NEAR, 1)):
+        posers = render(avatar, SIZE, effects=effects).posers
+        assert len(exposures(effects, lambda share: ([blink(share)], camera), posers)) == views
 
 
 def test_once_moved_it_uploads_what_changes_and_nothing_at_rest(context, render, monkeypatch):
