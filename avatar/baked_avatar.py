@@ -16,13 +16,16 @@ from jaxtyping import Float, Float32, UInt8, UInt32
 from numpy import ndarray as Array
 
 from avatar.bend import BEND_JOINTS, BENDS
-from avatar.face import Eye, FaceShapes
+from avatar.face import SHAPES, SIDES, Eye, FaceShapes
 from avatar.helper_joints import BONES, CARRIER
 from avatar.light import CaptureLight
-from avatar.skeleton import JOINTS
+from avatar.skeleton import JOINT_NUMBERS, JOINTS
 from avatar.skinning import SkinWeights
 from files.input_file import JsonObject
 
+HEAD = JOINT_NUMBERS["head"]
+# vertices that a face may move, and metres that a shape may move one by
+MOST_MOVING, FARTHEST = 1 << 15, 1.0
 VIEW_MODES = ("network", "linear", "off")
 
 
@@ -187,10 +190,46 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
     _check_rows((seen >= 0) & (seen <= 1), f"{where}.view_seen", "from 0 to 1", seen)
     if level.get("twist") is not None:
         _check_twist(level["twist"], joints, weights, where)
+    if level.get("face") is not None:
+        _check_face(level["face"], joints, weights, f"{where}.face")
     q = level["view_q"].astype(np.float64)
     eigenvalues = np.linalg.eigvalsh(q[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))
     rounding = 1e-5 * np.maximum(np.abs(eigenvalues).max(axis=1), 1)
     _check_rows(eigenvalues[:, 0] >= -rounding, f"{where}.view_q", "positive semi-definite", level["view_q"])
+
+
+def _check_face(face: FaceShapes, joints: Array, weights: Array, where: str) -> None:
+    count = len(joints)
+    _check_array(face.vertices, f"{where}.vertices", "uint32", (-1,))
+    _check_array(face.offsets, f"{where}.offsets", "float32", (len(SHAPES), len(face.vertices), 3))
+    _check_array(face.balls, f"{where}.balls", "uint32", (2, 2))
+    vertices, balls = face.vertices.astype(np.int64), face.balls.astype(np.int64)
+    if vertices[-1] >= count or (np.diff(vertices) <= 0).any() or len(vertices) > MOST_MOVING:
+        raise ValueError(f"{where}.vertices should be at most {MOST_MOVING}, ascending and below {count}, are not")
+    far = np.abs(face.offsets).max(axis=(1, 2))
+    _check_rows(far < FARTHEST, f"{where}.offsets", f"below {FARTHEST} m", far)
+    (left, left_count), (right, right_count) = balls.tolist()
+    apart = left + left_count <= right or right + right_count <= left
+    if not (apart and (balls[:, 1] > 0).all() and (balls.sum(axis=1) <= count).all()):
+        raise ValueError(f"{where}.balls should be two runs of the {count} vertices, are {balls.tolist()}")
+    on_ball = np.zeros(count, bool)
+    on_ball[left : left + left_count] = on_ball[right : right + right_count] = True
+    _check_rows(~on_ball[vertices], f"{where}.vertices", "outside of the balls", face.vertices)
+    head = (np.where(weights > 0, joints, HEAD) == HEAD).all(axis=1)
+    _check_rows(head | ~on_ball, f"{where}.balls", "bound to the head alone", joints)
+
+
+def _check_eyes(avatar: Avatar) -> None:
+    faces = [level.face for level in avatar.levels]
+    if (avatar.eyes is not None) != any(face is not None for face in faces):
+        raise ValueError("eyes should be there where a level has a face, and only there")
+    for side, eye in zip(SIDES, avatar.eyes or (), strict=False):
+        for name, values in (("center", eye.center), ("axis", eye.axis)):
+            _check_array(values, f"eyes.{side}.{name}", values.dtype.name, (3,))
+        if abs(np.linalg.norm(eye.axis) - 1) > 1e-3:
+            raise ValueError(f"eyes.{side}.axis should be of unit length, is {eye.axis.tolist()}")
+        if not 1e-3 <= eye.radius <= 1:
+            raise ValueError(f"eyes.{side}.radius should be from .001 to 1 m, is {eye.radius}")
 
 
 def _check_twist(twist: TwistSkin, joints: Array, weights: Array, where: str) -> None:
@@ -238,6 +277,7 @@ def check_avatar(avatar: Avatar) -> None:
         _check_array(avatar.bend, "bend", avatar.bend.dtype.name, (len(BENDS),))
         if not all(twisted):
             raise ValueError("bend should be beside twist, is without")
+    _check_eyes(avatar)
     sizes = [len(level.faces) for level in avatar.levels]
     if sizes != sorted(sizes, reverse=True):
         raise ValueError(f"levels should go from finest to coarsest, have {sizes} faces")

@@ -24,12 +24,13 @@ from avatar.gltf.avatar_file import read_avatar
 from avatar.texture import mip_levels, mipmaps
 from bench.ladder.rung_scores import compared, crop_of
 from experiments.baking_scores import FRAME_SIZE, References, timed_in_turns
+from player.draw.drawing import BarePose
 from player.draw.posing import PosedBones, Poser
 from player.gl.constants import avatar_constants
 from player.gl.context import Context, open_context
 from player.gl.shader import uniform
 from player.gl.texture import image_texture
-from player.scene.renderer import Pose, Renderer
+from player.scene.renderer import Renderer
 
 SHIPPED = "as shipped"
 # metres from the world's origin that a person stands in the rows on posing
@@ -38,7 +39,7 @@ CONSTANT = re.compile(r"const (vec\d|mat\dx?\d?) (\w+) = \1\(([^)]*)\);")
 # OpenGL looks down -z with +y up
 VIEW_FROM_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
 
-Frames = Sequence[tuple[Pose, Camera]]
+Frames = Sequence[tuple[BarePose, Camera]]
 
 
 @dataclass(frozen=True)
@@ -231,7 +232,7 @@ def drawn_pictures(renderer: Renderer, frames: Frames) -> list[Float[np.ndarray,
     return [renderer.draw([pose], camera)[..., :3].astype(np.float32) / 255 for pose, camera in frames]
 
 
-def moved(pose: Pose, camera: Camera) -> tuple[Pose, Camera]:
+def moved(pose: BarePose, camera: Camera) -> tuple[BarePose, Camera]:
     """A person and the camera before it, FAR from the origin."""
     away = np.array([FAR, 0.0, 0.0])
     camera_from_world = camera.camera_from_world.copy()

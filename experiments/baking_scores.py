@@ -30,8 +30,9 @@ from experiments.alternating import Times, alternate, here
 from experiments.short_training import read_kept
 from experiments.table_row import digest
 from files.whole import write_json
+from player.draw.drawing import BarePose
 from player.gl.context import Context, open_context
-from player.scene.renderer import Pose, Renderer
+from player.scene.renderer import Renderer
 
 FORMAT = "selfscan-baking-scores"
 REGIONS = ("total", "head", "hands")
@@ -51,7 +52,7 @@ class Seen(NamedTuple):
     """A pose under a camera, for the true picture, and which pixels its region has there; None: all of the person's."""
 
     region: str
-    pose: Pose
+    pose: BarePose
     camera: Camera
     truth: Picture | None
     mask: Bool[np.ndarray, "height width"] | None
@@ -61,7 +62,7 @@ class Reference(NamedTuple):
     """A picture that avatars are compared with."""
 
     region: str
-    pose: Pose
+    pose: BarePose
     camera: Camera
     picture: Picture
     mask: Bool[np.ndarray, "height width"]
@@ -202,7 +203,7 @@ def avatar_scores(context: Context, avatar: Avatar, asked: Sequence[Reference]) 
     return scores
 
 
-def avatar_pictures(context: Context, avatar: Avatar, views: Sequence[tuple[Pose, Camera]]) -> list[Picture]:
+def avatar_pictures(context: Context, avatar: Avatar, views: Sequence[tuple[BarePose, Camera]]) -> list[Picture]:
     """An avatar in these views, which are of one size, in its own view mode."""
     size = views[0][1].size
     effects = replace(FILMED, view=avatar.default_view)
@@ -232,7 +233,7 @@ def frame_times(avatars: Mapping[str, Path], references: References, seconds: fl
 
 
 def timed_in_turns(
-    renderers: Mapping[str, Renderer], frames: Sequence[tuple[Pose, Camera]], seconds: float, first: str
+    renderers: Mapping[str, Renderer], frames: Sequence[tuple[BarePose, Camera]], seconds: float, first: str
 ) -> dict[str, Any]:
     """Frames of all renderers, without reading back; `times_first` compares rounds with those of the renderer `first`.
     The renderers are released."""

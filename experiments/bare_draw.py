@@ -16,12 +16,12 @@ from avatar.camera import Camera, clip_from_view
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_normals, skin_points
 from avatar.texture import mip_levels
+from player.draw.drawing import BarePose
 from player.draw.mesh import draw_order, interleaved
 from player.draw.posing import Poser, screen_bounds
 from player.draw.raster import clip_planes
 from player.gl.context import Context
 from player.gl.texture import read_finer_mip
-from player.scene.renderer import Pose
 
 FRAGMENT = """#version 330
 uniform sampler2D base_color;
@@ -67,7 +67,7 @@ class BareDraw:
         self,
         context: Context,
         avatar: Avatar,
-        poses: Sequence[Pose],
+        poses: Sequence[BarePose],
         camera: Camera,
         *,
         static: bool = False,
@@ -143,7 +143,7 @@ def coverage(image: UInt8[np.ndarray, "height width 4"]) -> float:
 
 
 def posed_vertices(
-    avatar: Avatar, pose: Pose
+    avatar: Avatar, pose: BarePose
 ) -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "vertices 3"]]:
     """World positions and normals of the finest mesh, skinned here: what peers that cannot skin are given."""
     level = avatar.levels[0]

@@ -24,7 +24,7 @@ from bench.ladder.effects import ABOVE, FRAMES, SIDE, SIZE, Case, Drawn
 from bench.ladder.machine import times_of
 from bench.ladder.rung_scores import median_interval
 from player.budget.rung import MOST_JOINTS
-from player.draw.drawing import Pose
+from player.draw.drawing import GivenPose
 from player.draw.mesh import attributes_read, draw_order, interleaved
 from player.draw.posed_mesh import BASE
 from player.draw.posing import Poser, screen_bounds
@@ -39,7 +39,7 @@ from player.scene.mannequin import mannequin
 from player.scene.motions import motion_for
 
 # every switch of the avatar's shaders, off
-PLAIN_SHADER = {"SKINNING": 0, "LIT": 0, "CONTACT": 0, "LOOSE": 0, "VIEW_STAGE": 0}
+PLAIN_SHADER = {"SKINNING": 0, "LIT": 0, "CONTACT": 0, "LOOSE": 0, "FACE": 0, "VIEW_STAGE": 0}
 Color = tuple[float, float, float, float]
 
 
@@ -71,10 +71,10 @@ class BareProgram:
             read_finer_mip(context, self.texture)
         self.target = gl.framebuffer([gl.renderbuffer(size, 4)], gl.depth_renderbuffer(size))
 
-    def draw(self, pose: Pose, camera: Camera) -> None:
+    def draw(self, pose: GivenPose, camera: Camera) -> None:
         """One frame, row 0 on top."""
         gl, target = self.gl, self.target
-        bones = self.poser.posed(*pose, camera)
+        bones = self.poser.posed(*pose[:2], camera)
         planes = clip_planes(np.array([screen_bounds(bones, camera).depth]).ravel())
         assert planes is not None, "the avatar is in view"
         target.viewport = (0, 0, *camera.size)

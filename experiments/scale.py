@@ -32,7 +32,7 @@ from bench.ladder.machine import Quiet
 from bench.report.writer import markdown_table
 from experiments.alternating import here
 from files.whole import whole_folder, write_json, write_text
-from player.draw.drawing import Pose
+from player.draw.drawing import BarePose
 from player.gl.context import Context, open_context
 from player.scene.arguments import parse_size
 from player.scene.framing import extent, fitted_camera
@@ -119,7 +119,7 @@ class Crowd(NamedTuple):
     """Avatars on a square, all in the picture, each somewhere else in the clip."""
 
     renderer: Renderer
-    poses: list[list[Pose]]
+    poses: list[list[BarePose]]
     camera: Camera
     # in which the renderer was made: meshes, textures, programs
     start: float  # seconds

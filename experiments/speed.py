@@ -30,11 +30,12 @@ from experiments.speed_page import markdown, plot
 from files.whole import whole_folder, write_json, write_text
 from player.budget.ladder import views_of
 from player.budget.rung import VIEW_NAMES
+from player.draw.drawing import BarePose
 from player.gl.context import Context, open_context
 from player.scene.arguments import parse_size
 from player.scene.framing import extent, facing, fitted_camera
 from player.scene.motions import motion_for
-from player.scene.renderer import Pose, Renderer
+from player.scene.renderer import Renderer
 
 SIZES = ((640, 640), (1280, 720), (1920, 1080))
 # of the counting clip, drawn in turn
@@ -72,7 +73,7 @@ def with_stand_in(avatar: Avatar) -> tuple[Avatar, bool]:
     return replace(avatar, levels=levels, network=network, linear=normal(4, 3, 3)), True
 
 
-def body_frames(avatar: Avatar) -> tuple[list[Pose], Any]:
+def body_frames(avatar: Avatar) -> tuple[list[BarePose], Any]:
     """Poses of the counting clip, and the camera `selfscan render` would take for a size."""
     clip = motion_for(avatar, "counting").read(0, 120)
     chosen = np.linspace(0, 119, POSES).round().astype(int)
@@ -85,7 +86,7 @@ def body_frames(avatar: Avatar) -> tuple[list[Pose], Any]:
 
 
 def time_size(
-    context: Context, avatar: Avatar, poses: Sequence[Pose], camera: Camera, seconds: float | int
+    context: Context, avatar: Avatar, poses: Sequence[BarePose], camera: Camera, seconds: float | int
 ) -> dict[str, Any]:
     """All our modes and both bare draws at one size, in alternating rounds."""
     bare = {
@@ -120,14 +121,14 @@ def time_size(
     }  # fmt: skip
 
 
-def draw_number(renderer: Renderer, poses: Sequence[Pose], camera: Camera, number: int) -> np.ndarray:
+def draw_number(renderer: Renderer, poses: Sequence[BarePose], camera: Camera, number: int) -> np.ndarray:
     return renderer.draw([poses[number % len(poses)]], camera)
 
 
 def time_peers(
     context: Context,
     avatar: Avatar,
-    poses: Sequence[Pose],
+    poses: Sequence[BarePose],
     camera: Camera,
     folder: Path,
     names: Sequence[str],

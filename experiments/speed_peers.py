@@ -19,7 +19,7 @@ from avatar.camera import Camera
 from command.errors import AssetError
 from experiments.alternating import Turn
 from experiments.bare_draw import posed_vertices
-from player.scene.renderer import Pose
+from player.draw.drawing import BarePose
 
 SCRIPTS = Path(__file__).parent / "peers"
 PACKAGES = {
@@ -84,7 +84,7 @@ def environment(folder: Path, name: str) -> Path:
     return python
 
 
-def write_body(path: Path, avatar: Avatar, poses: Sequence[Pose], camera: Camera) -> None:
+def write_body(path: Path, avatar: Avatar, poses: Sequence[BarePose], camera: Camera) -> None:
     """What the peers draw: the finest mesh skinned beforehand in every pose, and the camera."""
     vertices, normals = zip(*(posed_vertices(avatar, pose) for pose in poses), strict=True)
     np.savez(

@@ -24,13 +24,14 @@ from command.errors import AssetError
 from experiments.alternating import Turn, alternate
 from experiments.gl_counts import counting, counts_of
 from experiments.live_sender import sending
+from player.draw.drawing import BarePose
 from player.film.film import Film
 from player.gl.context import Context, open_context
 from player.live.inbox import Inbox
 from player.live.playback import LivePlayback
 from player.live.receiver import listen
 from player.scene.address import Address
-from player.scene.renderer import Pose, Renderer
+from player.scene.renderer import Renderer
 
 Row = dict[str, Any]
 MIB = 1 << 20
@@ -163,7 +164,7 @@ def on_disk(path: Path) -> int:
 def film_ratio(
     context: Context,
     avatar: Avatar,
-    poses: Sequence[Pose],
+    poses: Sequence[BarePose],
     camera: Camera,
     *,
     frames: int = 60,
@@ -283,7 +284,7 @@ def live_latency(
 # a long run
 
 
-def long_run(avatar: Avatar, poses: Sequence[Pose], *, frames: int = 10_000, size=(320, 320)) -> list[Row]:
+def long_run(avatar: Avatar, poses: Sequence[BarePose], *, frames: int = 10_000, size=(320, 320)) -> list[Row]:
     """Growth of GL objects, GL memory and resident memory over many frames of the dearest view mode."""
     from player.budget.ladder import views_of
     from player.scene.framing import fitted_camera
@@ -319,7 +320,7 @@ def resident() -> float:
 KINDS = ("first", "memory", "install", "film", "live", "long")
 
 
-def measure(kinds: Sequence[str], path: Path, context: Context, poses: Sequence[Pose], camera: Camera) -> list[Row]:
+def measure(kinds: Sequence[str], path: Path, context: Context, poses: Sequence[BarePose], camera: Camera) -> list[Row]:
     """The rows of these kinds; a kind that cannot be measured here gives one row that says why."""
     avatar = read_avatar(path)
     jobs = {

@@ -1,12 +1,14 @@
 """`selfscan play`: avatars in a window, moved by files or by live poses."""
 
 import argparse
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
 
+from avatar.baked_avatar import Avatar
 from avatar.skeleton import PARTS
 from command.command_line import Help, Option, parse
 from command.errors import AssetError, missing_package
@@ -18,7 +20,7 @@ from player.effects.contact import Contact
 from player.effects.ground import Ground
 from player.live.command import LiveCommand
 from player.scene import arguments
-from player.scene.address import Address, parse_address
+from player.scene.address import FACE_SENDERS, PORTS, Address, parse_address
 from player.scene.arguments import CAMERA, LOOKS, MACHINE, TIME, WHO
 from player.scene.effects import Effects
 from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera, side_by_side
@@ -63,6 +65,9 @@ class PlayCommand:
     motion: Annotated[tuple[str, ...], WHO, Option(metavar="FILE", repeated=True),
         "pose file, folder of frames, counting (default) or walking: one for all avatars, or once for each, in "
         "order"] = ()
+    life: Annotated[bool, WHO.rare, Option(("--no-life",)),
+        "faces rest where nothing moves them; else they blink, look at the camera, and bodies breathe"] = True
+    speech: Annotated[str | None, WHO, Option(metavar="FILE.wav"), "a voice that moves its mouth, silently"] = None
     at: Annotated[
         tuple[tuple[float, float, float, float], ...], WHO.rare,
         Option(metavar="X,Y,Z[,DEG]", parse=parse_place, repeated=True),
@@ -108,13 +113,13 @@ class PlayCommand:
         if self.scene and self.avatar:
             raise ValueError("give AVATAR or --scene, one of them")
         live = self.source.live
-        given = self.motion or live or self.at or self.body
+        given = self.motion or live or self.at or self.body or self.speech
         if self.scene and (given or (self.hands, self.ground) != ("file", "auto")):
-            raise ValueError("--motion, --live, --at, --body, --hands and --ground are in the scene file")
+            raise ValueError("--motion, --live, --speech, --at, --body, --hands and --ground are in the scene file")
         if live is None and self.scene is None and self.source != LiveCommand():
             raise ValueError("--smooth, --calibrate and --record go with --live")
-        if live is not None and (self.motion or self.capture):
-            raise ValueError("give --motion or --capture or --live")
+        if live is not None and (self.capture or (self.motion and live.kind not in FACE_SENDERS)):
+            raise ValueError("give --motion or --capture or --live; a motion goes with a sender of a face alone")
         count = len(self.people)
         if self.motion and len(self.motion) not in (1, count):
             raise ValueError(f"--motion: expected one, or one for each of {count} avatars, found {len(self.motion)}")
@@ -163,7 +168,9 @@ def scene_of(command: PlayCommand) -> Scene:
 def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:
     motions = command.motion or (None if command.capture or command.source.live else "counting",)
     live = str(command.source.live) if command.source.live else None
-    like = SceneAvatar(BUILTIN, live=live, hands=command.hands, ground=command.ground, body=command.body)
+    like = SceneAvatar(
+        BUILTIN, live=live, hands=command.hands, ground=command.ground, body=command.body, speech=command.speech
+    )
     return side_by_side(command.people, motions, command.at, like=like)
 
 
@@ -188,6 +195,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             raise missing_package("imgui-bundle", "gui", "selfscan play") from None
     stop.check()
     avatars = opened_avatars(scene)
+    scene = with_life(scene, avatars, command.life and not command.capture)
     with ExitStack() as sources:
         live = [
             (sources.enter_context(live_session(address, command.source, [avatars[k] for k in indices])), indices)
@@ -208,12 +216,20 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
         )  # fmt: skip
 
 
+def with_life(scene: Scene, avatars: Sequence[Avatar], wanted: bool) -> Scene:
+    """The scene with life in every face, of those that a scene file leaves still too; unwanted, with none at all."""
+    entries = enumerate(zip(scene.avatars, avatars, strict=True), 1)
+    seeds = [entry.life if entry.life is not None else k if avatar.eyes else None for k, (entry, avatar) in entries]
+    lives = [replace(entry, life=seed if wanted else None) for entry, seed in zip(scene.avatars, seeds, strict=True)]
+    return replace(scene, avatars=tuple(lives))
+
+
 def _addresses(scene: Scene, command: PlayCommand) -> list[tuple[Address, list[int]]]:
     """Each live source with the avatars it poses."""
     found: dict[Address, list[int]] = {}
     for index, entry in enumerate(scene.avatars):
         if entry.live is not None:
-            found.setdefault(parse_address(entry.live, ("vmc", "udp", "ws")), []).append(index)
+            found.setdefault(parse_address(entry.live, tuple(PORTS)), []).append(index)
     if len(found) > 1 and command.source.record:
         raise ValueError(f"--record writes one file; the scene has {len(found)} live sources")
     return list(found.items())

@@ -96,7 +96,7 @@ def write_page(path: Path, avatar: Avatar, motion: Motion, start: int, stop: int
 
 def parts_summary(written: dict[str, int]) -> str:
     """Where the bytes are, before a page writes them as text (4 letters for 3)."""
-    kinds = {"mesh": "geometry", "color": "base color", "features": "features", "motion": "motion"}
+    kinds = {"mesh": "geometry", "color": "base color", "features": "features", "motion": "motion", "face": "face"}
     sums = dict.fromkeys(kinds.values(), 0)
     for name, size in written.items():
         sums[kinds[name.rsplit(".", 1)[-1]]] += size

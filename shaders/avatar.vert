@@ -4,6 +4,7 @@
 // LIT: 0 the light of the videos is in the colours; the surface is lit anew (light.glsl): 1 without highlights, 2 with
 // them, 3 with them and in a power of the colours.
 // CONTACT: 1 limbs that come near darken it (contact.glsl). LOOSE: 1 hair and skirts move by themselves (loose.glsl).
+// FACE: 1 its face moves (face.glsl).
 // VIEW_MODEL: see view_model.glsl (asked only when VIEW_STAGE is not 0).
 #include "frame.glsl"
 #if SKINNING == 0
@@ -11,6 +12,7 @@
 #else
 #include "skinning_dual.glsl"
 #endif
+#include "face.glsl"
 
 in vec3 position;   // canonical (big pose), metres
 in vec2 uv;         // v down
@@ -70,14 +72,14 @@ out vec3 tangent;
 #endif
 
 void main() {
-    vec3 position_skinned = skinned(position, joints, weights), position_view = position_skinned;
+    vec3 position_skinned = skinned(faced(position), joints, weights), position_view = position_skinned;
 #if LOOSE != 0
     position_view += loosened(near_particles, follows);
 #endif
     gl_Position = clip_from_view * vec4(position_view, 1.0);
     surface_uv = uv;
 #if CONTACT != 0
-    vec3 normal_view = skinned(position + normal, joints, weights) - position_skinned;
+    vec3 normal_view = skinned(faced(position) + faced_normal(normal), joints, weights) - position_skinned;
     normal_view *= inversesqrt(max(dot(normal_view, normal_view), 1e-12));
     float open = open_sky(position_view, normal_view, spared, 1.0, 0, 16) / max(rest, 1e-3);
     openness = 1.0 - darkening * (1.0 - clamp(open, 0.0, 1.0));
@@ -85,7 +87,7 @@ void main() {
 #if LIT != 0
     // R(q) n: turned_back by the conjugate
     vec4 turn = blended_turn(joints, weights);
-    light_here = light_factors(seen_light, turned_back(vec4(-turn.xyz, turn.w), normal), unit(-position_view));
+    light_here = light_factors(seen_light, turned_back(vec4(-turn.xyz, turn.w), faced_normal(normal)), unit(-position_view));
 #endif
 #if VIEW_STAGE != 0
     vec3 direction_canonical = turned_back(blended_turn(joints, weights), unit(position_view));

@@ -11,6 +11,7 @@
 #else
 #include "skinning_dual.glsl"
 #endif
+#include "face.glsl"
 
 #if LOOSE != 0
 #include "loose.glsl"
@@ -29,8 +30,8 @@ in vec4 weights;   // sum to 1
 in vec3 normal;    // canonical, unit
 
 void main() {
-    vec3 position_view = skinned(position, joints, weights);
-    vec3 normal_view = skinned(position + normal, joints, weights) - position_view;
+    vec3 point = faced(position), position_view = skinned(point, joints, weights);
+    vec3 normal_view = skinned(point + faced_normal(normal), joints, weights) - position_view;
 #if LOOSE != 0
     position_view += loosened(near_particles, follows);
 #endif

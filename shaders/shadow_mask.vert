@@ -5,6 +5,7 @@
 #else
 #include "skinning_dual.glsl"
 #endif
+#include "face.glsl"
 
 #if LOOSE != 0
 #include "loose.glsl"
@@ -22,7 +23,7 @@ in vec4 weights;   // sum to 1
 out float height;
 
 void main() {
-    vec4 point = vec4(skinned(position, joints, weights), 1.0);
+    vec4 point = vec4(skinned(faced(position), joints, weights), 1.0);
 #if LOOSE != 0
     point.xyz += loosened(near_particles, follows);
 #endif

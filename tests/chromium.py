@@ -22,8 +22,11 @@ import numpy as np
 import pytest
 
 from avatar.camera import Camera, clip_from_view, view_from_world
-from avatar.rotation import quaternion_from_axis_angle
+from avatar.face import eye_turn
+from avatar.gltf.face import EYE_JOINTS
+from avatar.rotation import quaternion_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import JOINTS
+from player.draw.drawing import GivenPose
 
 NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 KINDS = {".html": "text/html", ".js": "text/javascript", ".json": "application/json"}
@@ -86,15 +89,25 @@ class _Handler(BaseHTTPRequestHandler):
         pass
 
 
+def _faced(pose: GivenPose) -> bool:
+    return len(pose) > 2 and pose[2] is not None
+
+
+def _eyes(pose: GivenPose) -> dict[str, list[float]]:
+    """Rotations of the eyes' joints."""
+    turns = [quaternion_from_matrix(eye_turn(*gaze)).tolist() for gaze in pose[2].gaze] if _faced(pose) else []
+    return dict(zip(EYE_JOINTS, turns))
+
+
 def three_frames(
     avatar: Path,
-    poses: Sequence[tuple[np.ndarray, np.ndarray]],
+    poses: Sequence[GivenPose],
     camera: Camera,
     modules: Path,
     profile: Path,
     background: str = "#000000",
 ) -> list[np.ndarray]:
-    """Frames (H, W, 3) of the avatar file by three.js, row 0 on top.
+    """Frames (H, W, 3) of the avatar file by three.js, row 0 on top; faces as in poses that have one.
 
     `modules` is a folder with node_modules/three, `profile` an empty folder for the browser's own files.
     """
@@ -105,9 +118,10 @@ def three_frames(
         "clip_from_view": clip_from_view(camera, 0.05, 50.0).tolist(),
         "background": background,
         "rotations": [
-            dict(zip(JOINTS, quaternion_from_axis_angle(axis_angle).tolist(), strict=True)) for axis_angle, _ in poses
+            dict(zip(JOINTS, quaternion_from_axis_angle(pose[0]).tolist(), strict=True)) | _eyes(pose) for pose in poses
         ],
-        "places": [root.tolist() for _, root in poses],
+        "weights": [pose[2].weights.tolist() if _faced(pose) else None for pose in poses],
+        "places": [pose[1].tolist() for pose in poses],
     }
     files: dict[str, Path | bytes] = {
         "/page.html": PAGE,

@@ -65,7 +65,7 @@ def test_a_package_imports_only_what_lies_below_it(package):
 
 
 # inside the player, from the lowest; the commands stand above all
-ORDER = ("gl", "draw pose", "effects", "scene", "budget", "film web live", "window")
+ORDER = ("gl", "draw face pose", "effects", "scene", "budget", "film web live", "window")
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()}
 
 

@@ -2,10 +2,12 @@
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 
 from avatar.body import builtin_body
+from avatar.face import Eye, FaceShapes
 from avatar.gltf.avatar_file import Avatar, Level, ViewNetwork
 from avatar.skeleton import BIG_POSE
 
@@ -54,6 +56,22 @@ def tiny_avatar(seed=0, **changes) -> Avatar:
         "provenance": {"preset": "demo", "psnr_db": [31.5, None], "licence": "CC0 – née"},
     }
     return Avatar(**(fields | changes))
+
+
+def tiny_face(seed=0, **changes) -> Avatar:
+    """One whose first level has a face of a few vertices: of its 12, two and two are the eyes' balls."""
+    rng = np.random.default_rng(seed)
+    level = tiny_level(1, vertices=12)
+    joints, weights = level.joints.copy(), level.weights.copy()
+    joints[8:], weights[8:] = 15, [255, 0, 0, 0]
+    joints[8:, 1:] = 0
+    offsets = (rng.normal(size=(52, 3, 3)) * (rng.random((52, 3, 1)) < 0.5) * 0.01).astype(np.float32)
+    # the last, tongueOut, moves nothing
+    offsets[0], offsets[-1] = 0.01, 0
+    face = FaceShapes(np.array([0, 3, 7], np.uint32), offsets, np.array([[8, 2], [10, 2]], np.uint32))
+    eyes = [Eye(rng.normal(size=3), np.array([0.0, 0.6, 0.8]), 0.012) for _ in range(2)]
+    levels = (replace(level, joints=joints, weights=weights, face=face), tiny_level(2, vertices=5, faces=3, size=2))
+    return tiny_avatar(seed, levels=levels, eyes=tuple(eyes), **changes)
 
 
 def same(a, b) -> bool:

@@ -4,7 +4,8 @@ Node rotations are SMPL rotations (docs/avatar-format.md), so every frame is one
 joint and the place of the pelvis in the world, between keys LINEAR (slerp, glTF 2.0 appendix C). q and -q are the
 same rotation; each key has the sign nearer to the key before, since not every viewer takes the shorter arc.
 A joint that never turns has one key. Helper joints, where the file has them, have keys of their own, bend joints also
-of their places: what moves them in ours (avatar/helper_joints.py) moves them in any program.
+of their places: what moves them in ours (avatar/helper_joints.py) moves them in any program. So do the eyes, and the
+shapes of a face have their weights, where the file and the motion have a face.
 """
 
 import json
@@ -14,14 +15,16 @@ import numpy as np
 from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 
+from avatar.baked_avatar import Avatar
+from avatar.face import eye_turn
 from avatar.gltf.avatar_file import read_avatar
 from avatar.gltf.avatar_write import helper_joints
 from avatar.gltf.document import read_gltf
 from avatar.gltf.scene import read_skin
 from avatar.gltf.write import GltfBuilder
-from avatar.helper_joints import HelperJoints
 from avatar.motion.clip import Clip
-from avatar.rotation import normalised_quaternion, quaternion_from_axis_angle
+from avatar.rotation import axis_angle_from_matrix, normalised_quaternion, quaternion_from_axis_angle
+from avatar.skeleton import JOINTS
 from command.errors import AssetError
 from files.input_file import JsonObject
 from files.whole import whole_file
@@ -39,14 +42,14 @@ def write_animated(path: Path | str, avatar_path: Path | str, clip: Clip, *, nam
         AssetError: `avatar_path` is not an avatar file, or it has an animation.
         ValueError: no frames, numbers that are not finite, or so many frames that float32 seconds repeat.
     """
-    helpers, gltf = helper_joints(read_avatar(avatar_path, levels=1)), read_gltf(avatar_path)
+    avatar, gltf = read_avatar(avatar_path, levels=1), read_gltf(avatar_path)
     if len(gltf.buffers) != 1:
         raise gltf.error("buffers", "one, the file's own", len(gltf.buffers))
     if gltf.items("animations"):
         raise AssetError(f"{avatar_path}: holds a motion; export from the avatar that it was made of")
     document: JsonObject = json.loads(json.dumps(gltf.json))
     builder = _kept(document, bytes(gltf.buffers[0]))
-    document["animations"] = [_animation(builder, read_skin(gltf, 0).nodes, clip, name, helpers)]
+    document["animations"] = [_animation(builder, read_skin(gltf, 0).nodes, clip, name, avatar)]
     data = builder.to_bytes(document)
     with whole_file(path) as file:
         file.write(data)
@@ -63,19 +66,22 @@ def rotation_keys(axis_angle: Float[Array, "frames n 3"]) -> Float32[Array, "fra
     return q.astype(np.float32)
 
 
-def _animation(
-    builder: GltfBuilder, nodes: tuple[int, ...], clip: Clip, name: str, helpers: HelperJoints | None
-) -> JsonObject:
+def _animation(builder: GltfBuilder, nodes: tuple[int, ...], clip: Clip, name: str, avatar: Avatar) -> JsonObject:
     count = len(clip.root)
     if not count or not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):
         raise ValueError(f"a clip of {count} frames should have some, all finite")
-    turns, moved = clip.axis_angle, []
+    turns, moved, helpers = clip.axis_angle, [], helper_joints(avatar)
     if helpers:
         helper_turns, at = helpers.local(clip.axis_angle)
         turns = np.concatenate([turns, helper_turns], axis=1)
         # bend joints also change their place
         first = len(helpers.twist.offsets)
-        moved = [(nodes[52 + k], at[:, k].astype(np.float32)) for k in range(first, at.shape[1])]
+        moved = [(nodes[52 + k], "translation", at[:, k].astype(np.float32)) for k in range(first, at.shape[1])]
+    if avatar.eyes is not None:
+        eyes, weights = _face_keys(clip)
+        turns = np.concatenate([turns, eyes], axis=1)
+        # the node of the mesh stands behind those of the 52 joints
+        moved += [] if weights is None else [(len(JOINTS), "weights", weights)]
     rotations, places = rotation_keys(turns), clip.root.astype(np.float32)
     times = (np.arange(len(places)) / float(clip.rate)).astype(np.float32)
     if (np.diff(times) <= 0).any():
@@ -86,14 +92,26 @@ def _animation(
     for node, path, values in [
         (nodes[0], "translation", places),
         *((node, "rotation", np.ascontiguousarray(rotations[:, joint])) for joint, node in enumerate(nodes)),
-        *((node, "translation", at) for node, at in moved),
+        *moved,
     ]:
         still = bool((values == values[0]).all())
-        output = builder.add_accessor(values[:1] if still else values)
+        kept = values[:1] if still else values
+        output = builder.add_accessor(kept.reshape(-1) if path == "weights" else kept)
         samplers.append({"input": once if still else every, "output": output, "interpolation": "LINEAR"})
         channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
     height = {} if clip.pelvis_height is None else {"extras": {PELVIS_HEIGHT: float(clip.pelvis_height)}}
     return {"name": name, "channels": channels, "samplers": samplers, **height}
+
+
+def _face_keys(clip: Clip) -> tuple[Float[Array, "frames 2 3"], Float32[Array, "frames 52"] | None]:
+    """Turns of the eyes, axis-angle, and weights of the shapes; None: they rest."""
+    if clip.face is None or clip.gaze is None:
+        return np.zeros((clip.frames, 2, 3)), None
+    if not (np.isfinite(clip.face).all() and np.isfinite(clip.gaze).all()):
+        raise ValueError(f"a clip of {clip.frames} frames should have some, all finite")
+    turns = [eye_turn(yaw, pitch) for yaw, pitch in clip.gaze.reshape(-1, 2).tolist()]
+    weights = np.clip(clip.face, 0, 1).astype(np.float32)
+    return axis_angle_from_matrix(np.array(turns)).reshape(-1, 2, 3), weights
 
 
 def _kept(document: JsonObject, binary: bytes) -> GltfBuilder:

@@ -27,6 +27,7 @@ from avatar.baked_avatar import (
 from avatar.bend import BENDS
 from avatar.gltf.avatar_write import ATTRIBUTES, EXTENSION, VERSION, canonical_bones, helper_joints, write_avatar
 from avatar.gltf.document import Gltf, read_gltf
+from avatar.gltf.face import EYE_JOINTS, HEAD, read_eyes, read_face, with_eyes
 from avatar.gltf.scene import (
     attribute_accessors,
     base_color_image,
@@ -36,9 +37,10 @@ from avatar.gltf.scene import (
     triangles,
     world_from_node,
 )
-from avatar.helper_joints import CARRIER
+from avatar.helper_joints import CARRIER, HELPER_JOINTS
 from avatar.light import light_from_json
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
+from avatar.twist import TWIST_JOINTS
 from command.errors import AssetError
 from files.input_file import JsonObject
 from files.picture import decode_png, png_pixels
@@ -90,13 +92,14 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
             name=extension["name"],
             joint_positions=joints,
             canonical_pose=pose,
-            levels=_read_levels(gltf, extension, levels, twisted=twist),
+            levels=_read_levels(gltf, extension, levels, twisted=twist, bent=bend is not None),
             network=_read_network(gltf, extension),
             linear=linear,
             amplitude=float(amplitude),
             default_view=extension["defaultView"],
             provenance=extension["provenance"],
             bend=bend,
+            eyes=read_eyes(gltf, extension, where),
             light=None if extension.get("light") is None else light_from_json(extension["light"]),
         )
         check_avatar(avatar)
@@ -144,7 +147,9 @@ def _read_network(gltf: Gltf, extension: JsonObject) -> ViewNetwork | None:
     return ViewNetwork(**arrays)
 
 
-def _read_levels(gltf: Gltf, extension: JsonObject, wanted: int | None, *, twisted: bool = False) -> tuple[Level, ...]:
+def _read_levels(
+    gltf: Gltf, extension: JsonObject, wanted: int | None, *, twisted: bool, bent: bool
+) -> tuple[Level, ...]:
     """The levels, each with a mesh and images of its own; of more than `wanted` the finest."""
     items, where = extension.get("levels"), f"extensions.{EXTENSION}.levels"
     if not isinstance(items, list) or not 1 <= len(items) <= MAX_LEVELS:
@@ -172,6 +177,8 @@ def _read_levels(gltf: Gltf, extension: JsonObject, wanted: int | None, *, twist
             arrays, (base_color, features) = _read_surface(gltf, mesh), unpacked[i]
             arrays["base_color"] = base_color.result()
             fields: JsonObject = {**arrays, "features": None if features is None else features.result()}
+            helpers = (HELPER_JOINTS if bent else TWIST_JOINTS) if twisted else ()
+            fields["face"] = read_face(gltf, items[i], arrays, len(JOINTS) + len(helpers), f"{where}[{i}]")
             if twisted:
                 fields["twist"] = _twist_skin(gltf, mesh, arrays)
                 fields["joints"], fields["weights"] = fields["twist"].folded()
@@ -271,15 +278,20 @@ def _check_skeleton(gltf: Gltf, avatar: Avatar, mesh: int) -> None:
     skin = read_skin(gltf, gltf.items("nodes")[bearers[0]]["skin"], field=f"nodes[{bearers[0]}].skin")
     names = [gltf.items("nodes")[node].get("name") for node in skin.nodes]
     helpers = helper_joints(avatar)
-    named = (*JOINTS, *helpers.names) if helpers else JOINTS
+    eyes = EYE_JOINTS if avatar.eyes else ()
+    named = (*JOINTS, *(helpers.names if helpers else ()), *eyes)
     if names != list(named):
         count = len(named)
         wrong = next((i for i, pair in enumerate(zip(names, named, strict=False)) if pair[0] != pair[1]), count)
-        wanted = "the 52 SMPL+H joints in order" + (", then the helper joints" if helpers else "")
+        wanted = (
+            "the 52 SMPL+H joints in order"
+            + (", then the helper joints" if helpers else "")
+            + (", then the eyes" if eyes else "")
+        )
         expected = f"{wanted}, here {named[wrong] if wrong < count else 'their end'}"
         raise gltf.error(f"skin joint {wrong}", expected, names[wrong] if wrong < len(names) else "absent")
     parents = node_parents(gltf)
-    parent_of = [*PARENTS, *CARRIER[52:]]
+    parent_of = [*PARENTS, *CARRIER[52 : len(named) - len(eyes)], *(HEAD for _ in eyes)]
     for joint, node in enumerate(skin.nodes[1:], start=1):
         if parents[node] != skin.nodes[parent_of[joint]]:
             raise gltf.error(f"parent of {named[joint]}", JOINTS[parent_of[joint]], f"node {parents[node]}")
@@ -288,7 +300,7 @@ def _check_skeleton(gltf: Gltf, avatar: Avatar, mesh: int) -> None:
     expected = joint_transforms(pose_0, avatar.joint_positions)
     if helpers:
         expected = helpers.with_helpers(pose_0, expected)
-    _check_close(gltf, "default nodes", world, expected, named)
+    _check_close(gltf, "default nodes", world, with_eyes(expected, avatar), named)
     _check_close(gltf, "inverse bind matrices", skin.joint_from_mesh, rigid_inverse(canonical_bones(avatar)), named)
 
 

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar, Level, check_avatar
+from avatar.face import SHAPES
+from avatar.gltf.face import EYE_JOINTS, HEAD, add_targets, bound_to_eyes, eye_offsets, eyes_json, with_eyes
 from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
 from avatar.helper_joints import CARRIER, HelperJoints
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
@@ -57,9 +59,13 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         textures.append({"name": name, "sampler": 0, "source": image})
         color = {"baseColorTexture": {"index": i}, "metallicFactor": 0, "roughnessFactor": 1}
         materials.append({"name": name, "pbrMetallicRoughness": color, "extensions": {"KHR_materials_unlit": {}}})
-        primitive = {**_add_surface(builder, level), "material": i}
+        primitive: JsonObject = {**_add_surface(builder, level, first_eye(avatar)), "material": i}
         meshes.append({"name": name, "primitives": [primitive]})
         levels.append({"mesh": i})
+        if level.face is not None:
+            primitive["targets"] = add_targets(builder, level, level.face)
+            meshes[i] |= {"weights": [0] * len(SHAPES), "extras": {"targetNames": list(SHAPES)}}
+            levels[i]["balls"] = [int(number) for number in level.face.balls.reshape(-1)]
         if level.features is not None:
             planes = np.concatenate(np.moveaxis(level.features, -1, 0))  # (4 h, w)
             levels[i]["featureImage"] = builder.add_image(encode_png(planes), f"{name} features")
@@ -83,12 +89,17 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
 
 def _joint_nodes(avatar: Avatar) -> list[int]:
     """The node of each joint; behind the 52 of the skeleton is the node of the mesh."""
+    return [*range(52), *range(53, 1 + first_eye(avatar) + len(avatar.eyes or ()))]
+
+
+def first_eye(avatar: Avatar) -> int:
+    """The number of the left eye's bone, behind all others."""
     helpers = helper_joints(avatar)
-    return [*range(52), *(range(53, 53 + len(helpers.names)) if helpers else ())]
+    return 52 + (len(helpers.names) if helpers else 0)
 
 
 def _nodes(avatar: Avatar) -> list[JsonObject]:
-    """The skeleton in pose 0, the mesh, and the helper joints."""
+    """The skeleton in pose 0, the mesh, the helper joints and the eyes."""
     numbers, helpers = _joint_nodes(avatar), helper_joints(avatar)
     nodes: list[JsonObject] = []
     for joint, name in enumerate(JOINTS):
@@ -96,7 +107,8 @@ def _nodes(avatar: Avatar) -> list[JsonObject]:
         offset = avatar.joint_positions[joint] - (avatar.joint_positions[parent] if parent >= 0 else 0)
         node: JsonObject = {"name": name, "translation": [float(x) for x in offset]}
         children = [int(child) for child in np.flatnonzero(joint == PARENTS)]
-        children += [numbers[bone] for bone in np.flatnonzero(joint == CARRIER[: len(numbers)]) if bone >= 52]
+        children += [numbers[bone] for bone in np.flatnonzero(joint == CARRIER[: first_eye(avatar)]) if bone >= 52]
+        children += numbers[first_eye(avatar) :] if joint == HEAD else []
         nodes.append(node | ({"children": children} if children else {}))
     nodes.append({"name": avatar.name, "mesh": 0, "skin": 0})
     if helpers:
@@ -104,7 +116,8 @@ def _nodes(avatar: Avatar) -> list[JsonObject]:
             {"name": name, "translation": [float(x) for x in offset]}
             for name, offset in zip(helpers.names, helpers.offsets, strict=True)
         ]
-    return nodes
+    eyes = zip(EYE_JOINTS, eye_offsets(avatar), strict=False)
+    return nodes + [{"name": name, "translation": [float(x) for x in offset]} for name, offset in eyes]
 
 
 def _extension(avatar: Avatar, levels: list[JsonObject]) -> JsonObject:
@@ -123,6 +136,8 @@ def _extension(avatar: Avatar, levels: list[JsonObject]) -> JsonObject:
         extension["twist"] = True
     if avatar.bend is not None:
         extension["bend"] = _flat(avatar.bend)
+    if avatar.eyes is not None:
+        extension["face"] = eyes_json(avatar)
     if avatar.network is not None:
         arrays = {name: values for name, values in vars(avatar.network).items() if values is not None}
         extension["network"] = {name: _flat(values) for name, values in arrays.items()}
@@ -133,8 +148,8 @@ def _extension(avatar: Avatar, levels: list[JsonObject]) -> JsonObject:
     return extension
 
 
-def _add_surface(builder: GltfBuilder, level: Level) -> JsonObject:
-    """The attributes and indices of a level's one primitive."""
+def _add_surface(builder: GltfBuilder, level: Level, eye: int) -> JsonObject:
+    """The attributes and indices of a level's one primitive; `eye` is the number of the left eye's bone."""
     q = level.view_q
     arrays = {name: getattr(level, field) for field, name in ATTRIBUTES.items()}
     arrays |= {"_VIEW_Q0": q[:, :3], "_VIEW_Q1": q[:, 3:]}
@@ -145,6 +160,8 @@ def _add_surface(builder: GltfBuilder, level: Level) -> JsonObject:
         name: np.pad(values, ((0, 0), (0, 3 - values.shape[1]))) for name, values in few.items() if values is not None
     }
     joints, arrays["WEIGHTS_0"] = level.drawn_skin
+    if level.face is not None:
+        joints = bound_to_eyes(joints, level.face, eye)
     arrays["JOINTS_0"] = np.where(arrays["WEIGHTS_0"] > 0, joints, 0).astype(np.uint8)
     attributes = {
         name: builder.add_accessor(values, VERTICES, normalised=name == "WEIGHTS_0", bounds=name == "POSITION")
@@ -157,10 +174,10 @@ def _add_surface(builder: GltfBuilder, level: Level) -> JsonObject:
 
 
 def canonical_bones(avatar: Avatar) -> Float[np.ndarray, "bones 4 4"]:
-    """Where the bones stand in the pose that the levels are stored in: 52, or with helper joints more."""
+    """Where the bones stand in the pose that the levels are stored in: 52, or with helper joints and eyes more."""
     transforms = joint_transforms(avatar.canonical_pose, avatar.joint_positions)
     helpers = helper_joints(avatar)
-    return helpers.with_helpers(avatar.canonical_pose, transforms) if helpers else transforms
+    return with_eyes(helpers.with_helpers(avatar.canonical_pose, transforms) if helpers else transforms, avatar)
 
 
 def helper_joints(avatar: Avatar) -> HelperJoints | None:

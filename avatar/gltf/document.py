@@ -144,8 +144,9 @@ class Gltf:
         count = self.integer(accessor, "count", where, low=1)
 
         if "sparse" in accessor:
-            raise self.error(where, "one whose values all stand in a buffer view: it is sparse", accessor["sparse"])
-        values = self._elements(accessor, dtype, shape, count, where).copy()
+            values = self._with_sparse(accessor, dtype, shape, count, where)
+        else:
+            values = self._elements(accessor, dtype, shape, count, where).copy()
         if dtype.kind == "f":
             if not np.isfinite(values).all():
                 first = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
@@ -156,6 +157,31 @@ class Gltf:
             if normalised:
                 values = np.maximum(values / np.float32(np.iinfo(dtype).max), np.float32(-1))
         return values.swapaxes(-1, -2) if len(shape) == 2 else values
+
+    def _with_sparse(self, accessor: JsonObject, dtype: np.dtype, shape: tuple[int, ...], count: int, where: str):
+        """Elements of a buffer view, or zeros without one, some of them replaced (glTF 2.0, section 3.6.2.3)."""
+        sparse, where_sparse = accessor["sparse"], f"{where}.sparse"
+        if not isinstance(sparse, dict) or not all(isinstance(sparse.get(key), dict) for key in ("indices", "values")):
+            raise self.error(where_sparse, "an object with indices and values", sparse)
+        if "bufferView" in accessor:
+            values = self._elements(accessor, dtype, shape, count, where).copy()
+        else:
+            bytes_there, size = sum(map(len, self.buffers)), dtype.itemsize * prod(shape)
+            # zeros cost nothing in a file, but as much in memory as what is there
+            if count * size > bytes_there:
+                raise self.error(f"{where}.count", f"at most {bytes_there // size}: the file is no larger", count)
+            values = np.zeros((count, *shape), dtype)
+        given = self.integer(sparse, "count", where_sparse, low=1)
+        kind = sparse["indices"].get("componentType")
+        if type(kind) is not int or kind not in (5121, 5123, 5125):
+            raise self.error(f"{where_sparse}.indices.componentType", "one of [5121, 5123, 5125]", kind)
+        index = self._elements(
+            sparse["indices"], np.dtype(COMPONENT_TYPES[kind]), (), given, f"{where_sparse}.indices"
+        ).astype(np.int64)
+        if index[-1] >= count or (np.diff(index) <= 0).any():
+            raise self.error(f"{where_sparse}.indices", f"ascending and below {count}", index[-1].item())
+        values[index] = self._elements(sparse["values"], dtype, shape, given, f"{where_sparse}.values")
+        return values
 
     def _elements(self, holder: JsonObject, dtype: np.dtype, shape: tuple[int, ...], count: int, where: str) -> Array:
         """`count` elements of a buffer view, as a view of its bytes, bounds checked."""

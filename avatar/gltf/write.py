@@ -37,7 +37,7 @@ class GltfBuilder:
             raise ValueError(f"glTF cannot hold an array of shape {values.shape} and dtype {values.dtype}")
         stored = values.swapaxes(-1, -2) if kind.startswith("MAT") else values
         accessor: JsonObject = {
-            "bufferView": self._add_view(np.ascontiguousarray(stored).tobytes(), target),
+            "bufferView": self.add_view(np.ascontiguousarray(stored).tobytes(), target),
             "componentType": component,
             "count": len(values),
             "type": kind,
@@ -50,12 +50,34 @@ class GltfBuilder:
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
+    def add_sparse(self, rows: np.ndarray, values: np.ndarray, count: int) -> int:
+        """Store an array (count, 3) of float32 that is zero but in some rows, ascending, with min and max."""
+        everything = np.concatenate([values, np.zeros((int(len(values) < count), 3), np.float32)])
+        rows = rows.astype(np.uint16 if count <= 1 << 16 else np.uint32)
+        indices = {
+            "bufferView": self.add_view(rows.tobytes(), None),
+            "componentType": 5123 if rows.itemsize == 2 else 5125,
+        }
+        stored = {"bufferView": self.add_view(np.ascontiguousarray(values).tobytes(), None)}
+        self.accessors.append(
+            {
+                "componentType": 5126,
+                "count": count,
+                "type": "VEC3",
+                "min": everything.min(axis=0).tolist(),
+                "max": everything.max(axis=0).tolist(),
+                "sparse": {"count": len(rows), "indices": indices, "values": stored},
+            }
+        )
+        return len(self.accessors) - 1
+
     def add_image(self, data: bytes, name: str) -> int:
         """Store a PNG and return its index."""
-        self.images.append({"name": name, "mimeType": "image/png", "bufferView": self._add_view(data, None)})
+        self.images.append({"name": name, "mimeType": "image/png", "bufferView": self.add_view(data, None)})
         return len(self.images) - 1
 
-    def _add_view(self, data: bytes, target: int | None) -> int:
+    def add_view(self, data: bytes, target: int | None) -> int:
+        """Store bytes, four-byte aligned, and return their buffer view."""
         self.binary.extend(b"\0" * (-len(self.binary) % 4))
         view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}
         if target is not None:

@@ -91,7 +91,12 @@ def write_amass(
         if up == "z":
             pose[:, 0] = turned(pose[:, 0], quaternion_inverse(np.array(TURNS["+z"])))
             root = np.stack([root[:, 0], -root[:, 2], root[:, 1]], -1)
-        return {"poses": pose.reshape(len(pose), 156).astype(dtype), "trans": (root - J0).astype(dtype)}
+        out = {"poses": pose.reshape(len(pose), 156).astype(dtype), "trans": (root - J0).astype(dtype)}
+        if part.face is not None and part.gaze is not None:
+            if not (np.isfinite(part.face).all() and np.isfinite(part.gaze).all()):
+                raise ValueError(f"a clip of {frames} frames should have some, all finite")
+            out |= {"face": part.face.astype(dtype), "gaze": part.gaze.astype(dtype)}
+        return out
 
     fields = {
         "betas": np.zeros(16),
@@ -102,22 +107,24 @@ def write_amass(
     }
     if clip.pelvis_height is not None:
         fields["pelvis_height"] = np.array(float(clip.pelvis_height))
-    _write_members(path, frames, rows, np.dtype(dtype), fields)
+    shapes = {name: first.shape[1:] for name, first in rows(0, 1).items()}
+    _write_members(path, frames, rows, shapes, fields, np.dtype(dtype))
 
 
 def _write_members(
     path: Path | str,
     frames: int,
     rows: Callable[[int, int], dict[str, Array]],
-    dtype: np.dtype,
+    shapes: Mapping[str, tuple[int, ...]],
     fields: Mapping[str, Array],
+    dtype: np.dtype,
 ) -> None:
-    """The archive's members as NumPy writes them, poses and trans by rows; whole or not at all."""
+    """The archive's members as NumPy writes them, those of `shapes` by rows; whole or not at all."""
     with whole_file(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, width in (("poses", 156), ("trans", 3)):
+        for name, row in shapes.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 descr = np.lib.format.dtype_to_descr(dtype)
-                header = {"descr": descr, "fortran_order": False, "shape": (frames, width)}
+                header = {"descr": descr, "fortran_order": False, "shape": (frames, *row)}
                 np.lib.format.write_array_header_1_0(member, header)
                 for start in range(0, frames, WRITTEN_AT_ONCE):
                     member.write(rows(start, min(start + WRITTEN_AT_ONCE, frames))[name].tobytes())

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from avatar.body import Body, builtin_body
+from avatar.face import FaceFrame
 from avatar.rotation import between
 from command.errors import AssetError
 
@@ -29,14 +30,25 @@ class Clip:
     notes: tuple[str, ...] = ()
     # rest height of the pelvis above the soles of the body that root fits
     pelvis_height: float | None = None
+    # what the face does (avatar/face.py), both or neither: weights of its shapes, and yaw and pitch of each eye
+    face: Float[Array, "frames 52"] | None = None
+    gaze: Float[Array, "frames 2 2"] | None = None
 
     @property
     def frames(self) -> int:
         return len(self.root)
 
+    def face_at(self, frame: int) -> FaceFrame | None:
+        """What the face does in a frame; None: it stays at rest."""
+        if self.face is None or self.gaze is None:
+            return None
+        return FaceFrame(self.face[frame], self.gaze[frame])
+
     def read(self, start: int, stop: int) -> "Clip":
         """Frames start .. stop - 1, as `Motion.read` gives them."""
-        return replace(self, axis_angle=self.axis_angle[start:stop], root=self.root[start:stop])
+        face = None if self.face is None else self.face[start:stop]
+        gaze = None if self.gaze is None else self.gaze[start:stop]
+        return replace(self, axis_angle=self.axis_angle[start:stop], root=self.root[start:stop], face=face, gaze=gaze)
 
 
 @dataclass(frozen=True)
@@ -54,6 +66,8 @@ class Motion:
     pelvis_height: float | None = None
     # the file says that its ground is y = 0 (ours do); else avatar/motion/ground.py looks for it
     grounded: bool = False
+    # (start, stop) -> weights and gaze of a Clip; None: the face stays at rest
+    faces: Callable[[int, int], tuple[Array, Array]] | None = field(default=None, repr=False)
 
     def read(self, start: int = 0, stop: int | None = None) -> Clip:
         """Frames start .. stop - 1.
@@ -66,7 +80,8 @@ class Motion:
         if not 0 <= start <= stop <= self.frames:
             raise ValueError(f"frames {start}:{stop} are not inside {self.name}, which has {self.frames}")
         axis_angle, root = self.block(start, stop)
-        return Clip(axis_angle, root, self.rate, self.notes, self.pelvis_height)
+        faces = (None, None) if self.faces is None else self.faces(start, stop)
+        return Clip(axis_angle, root, self.rate, self.notes, self.pelvis_height, *faces)
 
     def changed(self, note: str, change: Callable[[Array, Array], tuple[Array, Array]]) -> "Motion":
         """The motion with poses and roots of each stretch changed, and a note that says so."""
@@ -127,8 +142,15 @@ def resample(clip: Clip, rate: float | int) -> Clip:
     before = np.minimum(time.astype(np.int64), count - 2)
     part = time - before
     joints = between(clip.axis_angle[before], clip.axis_angle[before + 1], np.repeat(part[:, None], 52, 1))
-    root = clip.root[before] + part[:, None] * (clip.root[before + 1] - clip.root[before])
-    return replace(clip, axis_angle=joints, root=root, rate=rate)
+    face, gaze = (None if rows is None else _straight(rows, before, part) for rows in (clip.face, clip.gaze))
+    root = _straight(clip.root, before, part)
+    return replace(clip, axis_angle=joints, root=root, rate=rate, face=face, gaze=gaze)
+
+
+def _straight(rows: Float[Array, "frames *row"], before: Int[Array, "new"], part: Float[Array, "new"]) -> Array:
+    """Rows between those of frames and of the frames after them."""
+    part = part.reshape(-1, *[1] * (rows.ndim - 1))
+    return rows[before] + part * (rows[before + 1] - rows[before])
 
 
 def fitted(motion: Motion, pelvis_height: float) -> Motion:

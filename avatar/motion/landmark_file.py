@@ -9,10 +9,12 @@ fields of PoseLandmarkerResult, HandLandmarkerResult, FaceLandmarkerResult and H
     left_hand_landmarks, left_hand_world_landmarks      21 points, and the same of the right hand
     hand_landmarks, hand_world_landmarks, handedness    a list of hands
     face_landmarks                                      468 or 478 points (for keypoints alone: no motion comes of them)
+    face_blendshapes                                    {"category_name": "jawOpen", "score": .3} of ARKit's shapes
+    facial_transformation_matrixes                      4x4 in rows: the head, where there is no body
 
 A landmark is {"x", "y", "z", "visibility"}, the last perhaps absent or null. World landmarks are metres, others parts
 of the picture's width and height, z as x. A field holds one list of landmarks, or one a person, of whom the largest is
-taken.
+taken; of blend shapes and matrices the first.
 """
 
 from dataclasses import dataclass, field
@@ -23,12 +25,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from avatar.face_names import weights_of
 from avatar.motion.landmark_pose import BODY_POINTS, HAND_POINTS, curl_sign
+from avatar.rotation import nearest_rotation
 from command.errors import AssetError
 from files.input_file import JsonObject, read_json
 
 WHAT = "landmarks of MediaPipe"
 MOST_FRAMES = 1_000_000
+SCORES, MATRICES = "face_blendshapes", "facial_transformation_matrixes"
 # a face's points, without and with irises
 FACE_POINTS = (468, 478)
 LARGEST = 1e5  # the largest coordinate: pixels, parts of the picture, metres
@@ -64,13 +69,16 @@ class Frame:
     hands: dict[str, Float[Array, "21 4"]] = field(default_factory=dict)
     hands_world: dict[str, Float[Array, "21 4"]] = field(default_factory=dict)
     face: Float[Array, "points 4"] | None = None
+    # weights of avatar.face.SHAPES, and the head's rotation in axes like ours
+    shapes: Float[Array, "52"] | None = None
+    head: Float[Array, "3 3"] | None = None
 
 
 def is_mediapipe(content: object) -> bool:
     """Whether parsed JSON holds frames of which the first that is not empty has a field of MediaPipe's results."""
     frames = content.get("frames") if isinstance(content, dict) else None
     first = next((frame for frame in frames if frame), None) if isinstance(frames, list) else None
-    return isinstance(first, dict) and bool(POINTS.keys() & first.keys())
+    return isinstance(first, dict) and bool((POINTS.keys() | {SCORES}) & first.keys())
 
 
 def read_landmarks(path: Path | str, notes: list[str]) -> tuple[list[Frame], FilmFacts]:
@@ -87,7 +95,8 @@ def read_landmarks(path: Path | str, notes: list[str]) -> tuple[list[Frame], Fil
         raise AssetError(f'{path}: expected {WHAT}: an object with "frames", 1 to {MOST_FRAMES} of them')
     facts = FilmFacts(*(_positive(path, content, key) for key in ("fps", "image_width", "image_height")))
     read = [_frame(f"{path}: frame {k}", frame, notes) for k, frame in enumerate(frames)]
-    if all(f.pose is None and f.pose_world is None and not f.hands and not f.hands_world for f in read):
+    bodiless = all(f.pose is None and f.pose_world is None and not f.hands and not f.hands_world for f in read)
+    if bodiless and all(f.shapes is None for f in read):
         raise AssetError(f"{path}: no landmarks of a body or a hand in {len(read)} frames")
     return read, facts
 
@@ -125,6 +134,8 @@ def _frame(place: str, content: object, notes: list[str]) -> Frame:
             side: found[f"{side}_hand_world_landmarks"][0] for side in SIDES if found[f"{side}_hand_world_landmarks"]
         },
         face=max(found["face_landmarks"], key=_area, default=None),
+        shapes=_shapes(f"{place}: {SCORES}", content.get(SCORES)),
+        head=_head(f"{place}: {MATRICES}", content.get(MATRICES)),
     )
     hands, in_metres = found["hand_landmarks"], found["hand_world_landmarks"]
     for k in range(max(len(hands), len(in_metres))):
@@ -134,6 +145,40 @@ def _frame(place: str, content: object, notes: list[str]) -> Frame:
             if k < len(lists):
                 one.setdefault(side, lists[k])
     return out
+
+
+def _first(value: object) -> list | None:
+    """The first list of a list of lists, or the list itself; None: nothing was found."""
+    if not isinstance(value, list) or not value:
+        return None
+    return value[0] if isinstance(value[0], list) and (not value[0] or not _number(value[0][0])) else value
+
+
+def _shapes(place: str, value: object) -> Float[Array, "52"] | None:
+    """Weights of a face's scores."""
+    items = _first(value)
+    if not items:
+        return None
+    scores: dict[str, float] = {}
+    for item in items:
+        name, score = (item.get("category_name"), item.get("score")) if isinstance(item, dict) else (None, None)
+        if not (isinstance(name, str) and _number(score) and -LARGEST < score < LARGEST):
+            raise AssetError(f"{place} should be objects of category_name and score, has {str(item)[:60]!r}")
+        scores[name] = float(score)
+    return weights_of(scores)
+
+
+def _head(place: str, value: object) -> Float[Array, "3 3"] | None:
+    """The rotation of a face's matrix, which maps the canonical face to the camera's space, y up."""
+    rows = _first(value)
+    if rows is None:
+        return None
+    if not all(isinstance(row, list) and len(row) == 4 and all(map(_number, row)) for row in rows) or len(rows) != 4:
+        raise AssetError(f"{place} should be 4 rows of 4 numbers, is {str(rows)[:60]!r}")
+    R = np.array([row[:3] for row in rows[:3]], np.float64)
+    if not (np.abs(R).max() < LARGEST and np.linalg.det(R) > 1e-6):
+        raise AssetError(f"{place} should be a rotation, is {str(rows)[:60]!r}")
+    return nearest_rotation(R)
 
 
 def _area(points: Float[Array, "points 4"]) -> float:

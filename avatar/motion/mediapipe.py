@@ -2,15 +2,18 @@
 
 World landmarks move the body. Their y goes down and z away from the camera: a half turn about x makes our axes of it.
 Where the person is comes from the landmarks in the picture, where the file tells its size: sideways and up, never in
-depth; else the lower foot stays on the ground. Gaps are filled, and noted.
+depth; else the lower foot stays on the ground. Gaps are filled, and noted. Scores of a face move the face; without a
+body its matrix turns the head.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
+from avatar.gaze import NECK_AND_HEAD, gaze_of, pose_of_head
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, checked_rate
 from avatar.motion.landmark_file import WHAT, FilmFacts, Frame, is_mediapipe, read_landmarks
 from avatar.motion.landmark_pose import BODY_POINTS, HAND_POINTS, PAIRS, Points, pose_from_points
@@ -48,11 +51,14 @@ def read_mediapipe(path: Path | str, skeleton: RestSkeleton | None = None) -> Mo
     skeleton = builtin_skeleton() if skeleton is None else skeleton
     ours = skeleton.joints.astype(np.float64)
     rate = checked_rate(f"{path}: fps", facts.fps) if facts.fps is not None else ASSUMED_RATE
-    if not any(frame.pose_world is not None or frame.hands_world for frame in frames):
+    faces = _faces(frames, notes)
+    if not faces and not any(frame.pose_world is not None or frame.hands_world for frame in frames):
         raise AssetError(f"{path}: no world landmarks of a body or a hand; those in the picture are no motion")
     body, seen = _bodies(path, frames, notes)
     left, right = _hand_points(path, frames, notes)
     pose = pose_from_points(Points(body, left, right, seen), ours)
+    if faces and not np.isfinite(body).any():
+        pose = _heads(frames, pose)
     root = _root(body, _hips(frames, facts), ours, pose, notes)
     if len(frames) > 1 and facts.fps is None:
         notes.append(f"no frame rate in the file: {ASSUMED_RATE:g} frames per second assumed")
@@ -60,12 +66,33 @@ def read_mediapipe(path: Path | str, skeleton: RestSkeleton | None = None) -> Mo
     def block(start: int, stop: int) -> tuple[Array, Array]:
         return pose[start:stop], root[start:stop]
 
-    return Motion(path.name, len(frames), rate, tuple(dict.fromkeys(notes)), block, skeleton.pelvis_height)
+    height = skeleton.pelvis_height
+    return Motion(path.name, len(frames), rate, tuple(dict.fromkeys(notes)), block, height, faces=faces)
 
 
-def _bodies(
-    path: Path, frames: list[Frame], notes: list[str]
-) -> tuple[Float[Array, "frames 33 3"], Bool[Array, "33"]]:
+def _faces(frames: list[Frame], notes: list[str]) -> Callable[[int, int], tuple[Array, Array]] | None:
+    """Weights and gaze of frames, as `Motion.faces`; frames without a face are filled from those around them."""
+    have = [k for k, frame in enumerate(frames) if frame.shapes is not None]
+    if not have:
+        return None
+    known, every = np.array([frames[k].shapes for k in have]), np.arange(len(frames))
+    weights = np.stack([np.interp(every, have, column) for column in known.T], 1)
+    if len(have) < len(frames):
+        notes.append(f"face: not found in {len(frames) - len(have)} of {plural(len(frames), 'frame')}, filled")
+    gaze = gaze_of(weights)
+    return lambda start, stop: (weights[start:stop], gaze[start:stop])
+
+
+def _heads(frames: list[Frame], pose: Float[Array, "frames 52 3"]) -> Float[Array, "frames 52 3"]:
+    """The poses with the head turned as the faces' matrices say; where one lacks, as in the frame before."""
+    out, head = pose.copy(), np.eye(3)
+    for k, frame in enumerate(frames):
+        head = head if frame.head is None else frame.head
+        out[k, NECK_AND_HEAD] = pose_of_head(head)[NECK_AND_HEAD]
+    return out
+
+
+def _bodies(path: Path, frames: list[Frame], notes: list[str]) -> tuple[Float[Array, "frames 33 3"], Bool[Array, "33"]]:
     """Bodies in our axes, metres, and which points are seen.
 
     Frames without a body are filled between those with one; all are NaN where there is none at all.

@@ -40,6 +40,7 @@ READERS = (
     PoseReader((".pkl",), "", "pickled", "read_pickled_motion", "body"),
     PoseReader((".bvh",), "", "bvh", "read_bvh", "skeleton"),
     PoseReader((".glb", ".gltf", ".vrm", ".vrma"), "", "gltf", "read_gltf_motion", "skeleton"),
+    PoseReader((".csv",), "ARKit's shapes", "face_csv", "read_face_csv", "skeleton"),
     PoseReader((".json",), "MediaPipe", "mediapipe", "read_mediapipe", "skeleton", "is_mediapipe_file"),
     PoseReader((".json", "*.json"), "EasyMocap", "easymocap", "read_easymocap", "body"),
 )

@@ -4,7 +4,8 @@
               global_orient | root_orient, body_pose | pose_body, and hands where there are any
     place     trans | transl | pose_est_trans        (absent: the pelvis stays in place)
     shape     betas | shape_est_betas                rate: mocap_framerate | mocap_frame_rate | fps | ...
-    our own   up_axis ("y" or "z"), pelvis (J0), pelvis_height
+    our own   up_axis ("y" or "z"), pelvis (J0), pelvis_height, face (frames, 52) with or without gaze (frames, 2, 2),
+              as avatar/face.py has them
 
 The file's world is turned upright about the horizontal, applied to the root orientation and to the pelvis position
 trans + J0, where J0 is the pelvis joint of the file's body:
@@ -24,6 +25,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.body import Body
+from avatar.face import SHAPES
 from avatar.motion.clip import Motion, checked_pelvis_height, checked_rate, spread_frames
 from avatar.motion.pose_vector import (
     FULL_HANDS,
@@ -173,7 +175,33 @@ def read_pose_fields(fields: PoseFields, body: Body | None, notes: list[str]) ->
         return pose, root
 
     grounded = "pelvis_height" in fields.names
-    return Motion(path.name, poses.frames, rate, tuple(notes), block, height, grounded=grounded)
+    faces = _faces(fields, poses.frames)
+    return Motion(path.name, poses.frames, rate, tuple(notes), block, height, grounded=grounded, faces=faces)
+
+
+def _faces(fields: PoseFields, frames: int) -> Callable[[int, int], tuple[Array, Array]] | None:
+    """What the file says of the face, as `Motion.faces` gives it."""
+    held: dict[str, Rows] = {}
+    for name, row in (("face", (len(SHAPES),)), ("gaze", (2, 2))):
+        if name in fields.names:
+            held[name] = fields.rows(name)
+            if held[name].shape != (frames, *row):
+                raise AssetError(f"{fields.path}: {name} should be {(frames, *row)}, is {held[name].shape}")
+    if not held:
+        return None
+
+    def rows(name: str, width: int, start: int, stop: int) -> Array:
+        """Rows of a field, 0 where the file lacks it."""
+        if name not in held:
+            return np.zeros((stop - start, width))
+        values = held[name].rows(start, stop)
+        with np.errstate(invalid="ignore"):
+            good = (np.abs(values) < LARGEST).all(1)
+        if not good.all():
+            raise AssetError(f"{fields.path}: {name} should be finite, is not at frame {start + int(np.argmin(good))}")
+        return values
+
+    return lambda start, stop: (rows("face", 52, start, stop), rows("gaze", 4, start, stop).reshape(-1, 2, 2))
 
 
 def _poses(fields: PoseFields, body: Body | None, notes: list[str]) -> _Poses:

@@ -22,9 +22,9 @@ from bake.cone import interpolated
 from bench.field.posed_field import MaskedPicture, PosedField, faces_in_picture
 from bench.ladder.rung_pictures import ComparedFrame
 from command.progress import progress
+from player.draw.drawing import BarePose
 from player.draw.raster import Rasteriser
 from player.gl.context import Context
-from player.scene.renderer import Pose
 from train.render import crossing, section_weights
 from train.run import read_run
 
@@ -80,7 +80,7 @@ def field_rungs(context: Context, path: Path, frames: Sequence[ComparedFrame]) -
 
 
 def draw_volume(
-    field: PosedField, raster: Rasteriser, pose: Pose, camera: Camera, *, beta: float, sections: int
+    field: PosedField, raster: Rasteriser, pose: BarePose, camera: Camera, *, beta: float, sections: int
 ) -> MaskedPicture:
     """One picture on black, colors inside the cone that training saw. `beta` is the surface's width, metres."""
     surface = field.surface

@@ -12,9 +12,10 @@ from avatar.skeleton import JOINTS
 from bench.inspect.inspection import Inspector
 from bench.inspect.page import PageSection, picture
 from bench.inspect.views import InspectView, face_views, strip
+from player.draw.drawing import BarePose
 from player.scene.framing import extent, facing, fitted_camera
 from player.scene.motions import motion_for
-from player.scene.renderer import Pose, Renderer
+from player.scene.renderer import Renderer
 
 BACKGROUND = (0.965, 0.965, 0.957, 1.0)
 J = {name: index for index, name in enumerate(JOINTS)}
@@ -72,10 +73,10 @@ def levels(inspector: Inspector) -> PageSection:
     return PageSection("levels", pictures, None, rows)
 
 
-def strained_poses(avatar: Avatar) -> dict[str, Pose]:
+def strained_poses(avatar: Avatar) -> dict[str, BarePose]:
     """Poses that show what skinning does at shoulders, elbows, hips, knees and fingers."""
 
-    def pose(**turns: tuple[float | int, ...]) -> Pose:
+    def pose(**turns: tuple[float | int, ...]) -> BarePose:
         axis_angle = np.zeros((52, 3))
         for name, turn in turns.items():
             axis_angle[J[name]] = turn

@@ -15,6 +15,7 @@ from PIL import Image
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
+from avatar.face import SHAPES, FaceFrame
 from avatar.motion.clip import Motion
 from bench.ladder.machine import Quiet, times_of
 from bench.report.contact import save_sheet, sheet
@@ -49,10 +50,12 @@ class Case:
     effects: Effects
     # the same frame again and again
     still: bool = False
+    # how many shapes of the face move, beside the eyes; 0: it rests after it has moved; None: it never does
+    shapes: int | None = None
 
 
-def cases() -> list[Case]:
-    """Each effect alone, some in two ways, and all of them together."""
+def cases(avatar: Avatar) -> list[Case]:
+    """Each effect alone, some in two ways, and all of them together; a face that moves, where the avatar has one."""
     out, everything = [], replace(PLAIN, view="off", skinning="dual_quaternion", antialiasing="fxaa")
     bare = replace(PLAIN, view="off")
     for setting in settings_of(Effects):
@@ -72,7 +75,15 @@ def cases() -> list[Case]:
         Case("all, but for films' own", replace(everything, motion_blur=None, depth_of_field=None)),
         Case("everything", everything),
     ]
-    return out
+    faces = [Case("a face at rest", bare, shapes=0), Case("a face: 8 shapes and gaze", bare, shapes=8)]
+    return out + (faces if avatar.eyes is not None else [])
+
+
+def face_at(shapes: int, frame: int) -> FaceFrame:
+    """So many shapes, and both eyes, on their way."""
+    weights, share = np.zeros(len(SHAPES)), 0.5 + 0.4 * np.sin(frame)
+    weights[:: len(SHAPES) // max(shapes, 1)][:shapes] = share
+    return FaceFrame(weights, np.full((2, 2), 0.2 * share * (shapes > 0)))
 
 
 class Drawn:
@@ -82,6 +93,8 @@ class Drawn:
         self.track = Track(motion, joints=avatar.joint_positions, foot_lock=case.effects.foot_lock)
         self.case, self.camera, self.seconds = case, camera, 0.0
         self.renderer = Renderer(context, [avatar], camera.size, effects=case.effects, background=STUDIO)
+        if case.shapes == 0:
+            self.renderer.draw([self.track.pose(0)._replace(face=face_at(1, 0))], camera)
 
     def views(self, frame: int) -> list[View]:
         """What is drawn for one frame of a film."""
@@ -92,7 +105,8 @@ class Drawn:
         def view_at(share: float) -> View:
             seconds = frame / rate
             pose = self.track.pose_beside(seconds, share / rate) if share else self.track.pose(seconds)
-            return [pose], self.camera
+            face = None if self.case.shapes is None else face_at(self.case.shapes, frame)
+            return [pose._replace(face=face)], self.camera
 
         return exposures(self.case.effects, view_at, self.renderer.posers)
 
@@ -137,7 +151,7 @@ def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[in
         reference, rows, pictures = bare.picture(), [], []
         base, base_passes = [], bare.passes()
         with Quiet() as quiet:
-            for case in cases():
+            for case in cases(avatar):
                 drawn = Drawn(context, avatar, motion, case, camera)
                 try:
                     bare_ms, with_it = timed_in_turns(bare, drawn, rounds)

@@ -14,10 +14,10 @@ from bench.report.contact import spread_poses
 from capture.held_out import HeldOutView, read_held_out
 from command.errors import AssetError
 from player.budget.rung import Rung, shown
+from player.draw.drawing import BarePose
 from player.gl.context import Context
 from player.scene.framing import extent, fitted_camera
 from player.scene.motions import motion_for
-from player.scene.renderer import Pose
 
 FRAMES = 4
 SIZE = (640, 640)
@@ -29,7 +29,7 @@ SIDE = 0.25
 class ComparedFrame:
     """A pose under a camera, with the true picture when there is one."""
 
-    pose: Pose
+    pose: BarePose
     camera: Camera
     truth: HeldOutView | None
 

@@ -20,11 +20,12 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from player.budget.rung import MOST_JOINTS, SHARE_NAMES, Rung, rung_of
+from player.draw.drawing import GivenPose
 from player.effects.avatar import views_of
 from player.gl.context import Context
-from player.scene.renderer import Pose, Renderer
+from player.scene.renderer import Renderer
 
-Frame = tuple[Sequence[Pose], Camera]
+Frame = tuple[Sequence[GivenPose], Camera]
 SMALLEST_TEXTURE = 64  # texels a side
 # more pixels than shown, and fewer
 FINER, COARSER = ([share for share in SHARE_NAMES if (share > 1) is more] for more in (True, False))
@@ -89,7 +90,7 @@ def halvings_of(avatar: Avatar, level: int) -> list[int]:
 
 
 def time_rungs(
-    context: Context, avatar: Avatar, rungs: Sequence[Rung], frames: Sequence[tuple[Pose, Camera]],
+    context: Context, avatar: Avatar, rungs: Sequence[Rung], frames: Sequence[tuple[GivenPose, Camera]],
     full: tuple[int, int], *, rounds: int = 20,
 ) -> list[Timing]:  # fmt: skip
     """Milliseconds of posing and drawing one frame on every rung, without reading the picture back (`frame_times`).
@@ -143,7 +144,7 @@ def frame_times(
 
 
 def frame_ms(
-    context: Context, renderer: Renderer, poses: Sequence[Pose], camera: Camera, reads_back: bool = False
+    context: Context, renderer: Renderer, poses: Sequence[GivenPose], camera: Camera, reads_back: bool = False
 ) -> float:
     """Milliseconds of one frame; a film needs its picture back, a window does not."""
     if reads_back:

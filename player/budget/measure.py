@@ -14,7 +14,7 @@ from avatar.camera import Camera
 from command.settings import settings_of
 from player.budget.ladder import Frame, PricedRung, frame_ms, frame_times, released
 from player.budget.rung import Rung
-from player.draw.drawing import Pose
+from player.draw.drawing import GivenPose
 from player.effects.background import Background
 from player.gl.context import Context
 from player.scene.effects import PLAIN, Effects
@@ -136,7 +136,7 @@ def _round(context: Context, renderers: Sequence[Renderer], scene: BudgetScene, 
     return out
 
 
-def _frame(renderer: Renderer, poses: Sequence[Pose], camera: Camera, seconds: float) -> None:
+def _frame(renderer: Renderer, poses: Sequence[GivenPose], camera: Camera, seconds: float) -> None:
     """A frame, its loose parts moved on."""
     assert renderer.target is not None
     renderer.move(poses, seconds)

@@ -10,16 +10,30 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.camera import Camera, clip_from_view
+from avatar.face import FaceFrame
 from player.draw.posing import PosedBones, ScreenBounds
 from player.draw.resources import Handle, Image, PlanResources
 from player.gl.blocks import BINDING, FRAME
 
 T = TypeVar("T")
-Pose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]  # axis-angle, pelvis joint in world
 # metres a second of the root, and radians from one frame to the next: beyond them a motion jumps
 FASTEST, TURNED = 15.0, np.radians(60.0)
 Box = tuple[int, int, int, int]  # left, first row, right, end row, in rows as GL counts them
 READ_FRAMEBUFFER, DRAW_FRAMEBUFFER, COLOR_BUFFER_BIT, NEAREST = 0x8CA8, 0x8CA9, 0x4000, 0x2600
+
+
+class Pose(NamedTuple):
+    """What one avatar does in a frame."""
+
+    axis_angle: Float[np.ndarray, "52 3"]
+    root: Float[np.ndarray, "3"]  # pelvis joint in world, metres
+    # None: the face at rest
+    face: FaceFrame | None = None
+
+
+# axis-angle and root of a pose whose face rests
+BarePose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]
+GivenPose = Pose | BarePose
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,8 @@ Attributes = tuple[Any, ...]
 Attachment = moderngl.Texture | moderngl.Renderbuffer
 # samples of MSAA, asked for as a number, never as the device's maximum, so that machines agree
 SAMPLES = 4
+# the texture unit that face.glsl reads; lower ones are those of other samplers
+FACE_UNIT = 7
 MARGIN = 2  # pixels round an avatar that antialiasing can change
 
 
@@ -97,8 +99,8 @@ class Pass(ABC):
     def move(self, poses: Sequence[Pose], seconds: float) -> None:  # noqa: B027
         """Go on to these poses, one an avatar, at a moment: the step of a simulation."""
 
-    def reach(self, avatar: int) -> float:
-        """Metres by which it moves an avatar's surface at most."""
+    def reach(self, avatar: int, pose: Pose) -> float:
+        """Metres by which it moves an avatar's surface at most, in this pose."""
         return 0.0
 
     def cost(self, drawn: float, inputs: FrameInputs, frame: Callable[[], float]) -> float:
@@ -179,12 +181,13 @@ class Draft:
     those before it draw.
 
     avatars, detail: who is drawn, and the number of the level of detail of each; dual: with dual quaternions. `effects`
-    are all that the scene asks for, the background among them; `kept` is what an earlier plan kept.
+    are all that the scene asks for, the background among them; `kept` is what an earlier plan kept; `faces` are the
+    avatars whose face has moved.
     """
 
     def __init__(
         self, avatars: Sequence[Avatar], canvas: Canvas, *, detail: Sequence[int], dual: bool = False,
-        effects: Iterable[Effect] = (), kept: Kept,
+        effects: Iterable[Effect] = (), kept: Kept, faces: frozenset[int] = frozenset(),
     ):  # fmt: skip
         self.avatars, self.canvas, self.detail, self.dual = tuple(avatars), canvas, tuple(detail), dual
         self.levels: tuple[Level, ...] = tuple(who.level(number) for who, number in zip(avatars, detail, strict=True))
@@ -194,6 +197,7 @@ class Draft:
         self.bones = max((level.bones for level in self.levels), default=len(JOINTS))
         # the most joints that a vertex follows, in all levels: these share programs too
         self.influences = max((one.influences for who in self.avatars for one in who.levels), default=4)
+        self.faces = faces
         # where avatars are drawn
         self.layer = Layer()
         self.image: Image | None = None
@@ -288,7 +292,7 @@ class Draft:
             program = compile_program(resources.context.gl, vertex, fragment, defines, generated)
             for block in BINDING:
                 bind_block(program, block, self.bones)
-            for unit, sampler in enumerate(samplers):
+            for unit, sampler in [*enumerate(samplers), (FACE_UNIT, "face_offsets")]:
                 found = program.get(sampler, None)
                 if isinstance(found, moderngl.Uniform):
                     found.value = unit

@@ -8,6 +8,7 @@ import moderngl
 import numpy as np
 
 from player.draw.drawing import Drawing
+from player.draw.face import FaceOffsets, face_of
 from player.draw.mesh import VERTEX, interleaved
 from player.draw.plan import Attributes, Draft, vertex_order
 from player.draw.posing import dual_parts, quaternions
@@ -26,17 +27,21 @@ class PosedMesh:
     faces: Handle[moderngl.Buffer]
     # LBS reads "Bones", dual quaternions read "Duals" and "Turns"
     blocks: tuple[tuple[str, Handle[moderngl.Buffer]], ...]
+    # its programs have FACE 1; None: its face does not move
+    face: FaceOffsets | None
 
     @property
     def handles(self) -> tuple[AnyHandle, ...]:
-        return (self.vertices, self.faces, *(handle for _, handle in self.blocks))
+        face = () if self.face is None else self.face.handles
+        return (self.vertices, self.faces, *(handle for _, handle in self.blocks), *face)
 
     def array(self, draft: Draft, program: Handle[moderngl.Program], *more: Attributes) -> Handle[moderngl.VertexArray]:
         """The mesh as a program reads it, with further attributes of its vertices."""
-        return draft.array(program, (self.vertices, *BASE), *more, faces=self.faces)
+        face = () if self.face is None else (self.face.buffer,)
+        return draft.array(program, (self.vertices, *BASE), *face, *more, faces=self.faces)
 
     def pose(self, drawing: Drawing) -> None:
-        """Bring the bones of this frame to the GPU, unless another pass has, and bind them."""
+        """Bring bones and face of this frame to the GPU, unless another pass has, and bind them."""
         bones = drawing.bones[self.avatar]
         turns = cache(lambda: quaternions(bones))
         content: dict[str, Callable[[], np.ndarray]] = {
@@ -45,11 +50,15 @@ class PosedMesh:
         }  # fmt: skip
         for name, handle in self.blocks:
             drawing.bind(handle, name, lambda: np.ascontiguousarray(content[name](), np.float32))
+        if self.face is not None:
+            self.face.bind(drawing)
 
     def warm(self, resources: PlanResources) -> None:
         """Bones that put every vertex in one place."""
         for name, handle in self.blocks:
             resources.bind_zeros(handle, name)
+        if self.face is not None:
+            self.face.warm(resources)
 
 
 def posed_mesh(draft: Draft, avatar: int, *, directions: bool = False, level: int | None = None) -> PosedMesh:
@@ -70,7 +79,7 @@ def posed_mesh(draft: Draft, avatar: int, *, directions: bool = False, level: in
         (name, draft.buffer(f"{draft.tag(avatar)} {name.lower()}", block_bytes(name, draft.bones), avatar))
         for name in names
     ]
-    return PosedMesh(avatar, vertices, faces, tuple(blocks))
+    return PosedMesh(avatar, vertices, faces, tuple(blocks), face_of(draft, avatar, level))
 
 
 def normals_of(draft: Draft, avatar: int) -> Handle[moderngl.Buffer]:

@@ -49,6 +49,8 @@ class Poser:
 
     def __init__(self, avatar: Avatar, *levels: Level):
         self.joints = avatar.joint_positions.astype(np.float64)
+        # whether it has a face that can move
+        self.faced = avatar.eyes is not None
         pose = avatar.canonical_pose.astype(np.float64)
         canonical = joint_transforms(pose, self.joints)
         self.helpers = None if levels[0].twist is None else HelperJoints(self.joints, avatar.bend)

@@ -9,6 +9,7 @@ from typing import ClassVar
 import moderngl
 
 from avatar.baked_avatar import Avatar
+from player.draw.face import FacePass, face_of
 from player.draw.mesh import VIEW_VERTEX, view_interleaved
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.posed_mesh import posed_mesh
@@ -39,6 +40,8 @@ class Avatars:
         for index in range(len(draft.avatars)):
             base_color = base_color_of(draft, index)
             view = view_pass(draft, index, self.view, base_color)
+            face = face_of(draft, index, draft.detail[index])
+            passes += [] if face is None else [FacePass(f"{draft.tag(index)}: face", face.handles, face)]
             passes += [paper_pass(draft, index, base_color, view), view]
         return passes
 

@@ -104,7 +104,7 @@ class SquarePass(PassBehind):
         self.draw_sheet(drawing, sheet)
 
     def _sheet(self, drawing: Drawing) -> Sheet:
-        middle, radius = np.mean([root for _, root in drawing.inputs.poses], axis=0), self.radius
+        middle, radius = np.mean([pose.root for pose in drawing.inputs.poses], axis=0), self.radius
         if self.step:
             middle = np.floor(middle / self.step) * self.step
         return Sheet(np.array([middle[0], self.height, middle[2]]), (-radius, -radius, radius, radius))

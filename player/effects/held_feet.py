@@ -90,8 +90,8 @@ class HeldFeet:
             self._solved = [*self._solved[-1:], (start, found)]
         i = frame - start
         if found.changed[i]:
-            return found.axis_angle[i], found.root[i]
-        return block.axis_angle[frame - first], block.root[frame - first]
+            return Pose(found.axis_angle[i], found.root[i])
+        return Pose(block.axis_angle[frame - first], block.root[frame - first])
 
     def held(self, start: int, axis_angle: Float[Array, "frames 52 3"], root: Float[Array, "frames 3"]) -> Held:
         """Consecutive poses from frame `start` on, with their feet held."""

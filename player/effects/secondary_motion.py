@@ -177,7 +177,9 @@ def loose_mesh(
     loose = offsets_of(draft, avatar)
     # loose parts are bound to the vertices of the level that is drawn
     mesh = posed_mesh(draft, avatar, level=level if loose is None else None)
-    program = draft.program(vertex, fragment, SKINNING=int(draft.dual), LOOSE=int(loose is not None))
+    program = draft.program(
+        vertex, fragment, SKINNING=int(draft.dual), LOOSE=int(loose is not None), FACE=int(mesh.face is not None)
+    )
     array = mesh.array(draft, program, *more, *(() if loose is None else (loose.buffer,)))
     return LooseMesh(mesh, program, array, loose)
 
@@ -191,7 +193,7 @@ class LoosePass(Pass):
     def move(self, poses: Sequence[Pose], seconds: float) -> None:
         self.offsets.motion.move(poses[self.offsets.avatar], seconds)
 
-    def reach(self, avatar: int) -> float:
+    def reach(self, avatar: int, pose: Pose) -> float:
         return self.offsets.motion.found.reach if avatar == self.offsets.avatar else 0.0
 
     def cost(self, drawn: float, inputs: FrameInputs, frame: Callable[[], float]) -> float:

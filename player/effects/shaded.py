@@ -84,7 +84,8 @@ def shading_of(draft: Draft, who: int, mesh: PosedMesh, *more: Attributes, **pro
         """The program with this contact and these loose parts, or without."""
         made = draft.program(
             "avatar.vert", "avatar.frag", SKINNING=int(draft.dual), LIT=0 if light is None else light.variant,
-            CONTACT=int(touch is not None), LOOSE=int(moved is not None), **program,
+            CONTACT=int(touch is not None), LOOSE=int(moved is not None),
+            FACE=int(mesh.face is not None), **program,
         )  # fmt: skip
         buffers = [*more, *([] if light is None else [light.buffer])]
         if touch is not None:

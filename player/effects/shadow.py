@@ -274,9 +274,11 @@ class MaskPass(Pass):
 
     def _wanted(self, drawing: Drawing) -> tuple[object, ...]:
         """Equal while nothing moves, whatever the camera does."""
-        poses = tuple(part.tobytes() for pose in drawing.inputs.poses for part in pose)
+        poses = tuple(part.tobytes() for pose in drawing.inputs.poses for part in pose[:2])
         moved = tuple(one.loose.motion.found.version for one in self.meshes if one.loose is not None)
-        return drawing.resources[self.mask], self.lamp, poses, moved
+        faces = tuple(one.mesh.face.frame(drawing) for one in self.meshes if one.mesh.face is not None)
+        turned = tuple(part.tobytes() for face in faces for part in (face.weights, face.gaze))
+        return drawing.resources[self.mask], self.lamp, poses, moved, turned
 
 
 def _mask_texture(made: PlanResources, side: int) -> moderngl.Texture:

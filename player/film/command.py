@@ -41,6 +41,11 @@ class RenderCommand:
     motion: Annotated[str | None, WHO, Option(metavar="FILE"),
         "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking (default: "
         "T-pose)"] = None
+    life: Annotated[int | None, WHO, AtLeast(0), Option(metavar="SEED", const=1),
+        "it blinks, looks at the camera and breathes where nothing else moves its face; another number, other "
+        "moments"] = None
+    speech: Annotated[str | None, WHO, Option(metavar="FILE.wav"),
+        "a voice that moves its mouth; the film stays silent"] = None
     frame: Annotated[int | None, FILM, AtLeast(0), Option(exclusive="which"),
         "only this frame; with a turntable, the one that is shown from all sides"] = None
     frames: Annotated[
@@ -94,7 +99,7 @@ class RenderCommand:
     def __post_init__(self):
         arguments.parse_quality(self.quality)
         picture = film_kind(self.output) == ".png"
-        own = self.motion or self.body or (self.hands, self.ground) != ("file", "auto")
+        own = self.motion or self.body or self.speech or (self.hands, self.ground, self.life) != ("file", "auto", None)
         refusals = {
             "give --budget or --quality": self.budget is not None and self.quality != "good",
             "--budget and --quality 0..1 ask this machine: for several, give --view and --level":
@@ -105,7 +110,7 @@ class RenderCommand:
             "--workers share the frames of a film; a .png holds one": picture and self.workers,
             "--explain asks the context that drew: leave --workers out": self.explain and self.workers,
             "give AVATAR or --scene, one of them": bool(self.scene) == bool(self.avatar),
-            "--motion, --body, --hands and --ground are in the scene file": self.scene and own,
+            "--motion, --life, --speech, --body, --hands and --ground are in the scene file": self.scene and own,
         }  # fmt: skip
         for why, refused in refusals.items():
             if refused:

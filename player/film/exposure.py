@@ -16,8 +16,10 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.camera import Camera
+from avatar.face import REST, FaceFrame
 from avatar.skeleton import JOINTS
 from player.draw.drawing import Pose
+from player.draw.face import HEAD_HEIGHT, SMALLEST, head_pixels
 from player.draw.posing import PosedBones, Poser
 from player.effects.lens import DepthOfField
 from player.scene.effects import Effects
@@ -27,6 +29,8 @@ SEEN = 0.5  # pixels
 NEAREST = 0.05  # metres before the lens: nothing nearer is focused on
 GOLDEN = np.pi * (3 - 5**0.5)
 HEAD = JOINTS.index("head")
+# metres: what a shape moves at most, and the radius of an eye, about
+LARGEST_SHAPE, LARGEST_BALL = 0.04, 0.012
 
 
 def exposures(effects: Effects, view_at: Callable[[float], View], posers: Sequence[Poser]) -> list[View]:
@@ -84,10 +88,24 @@ def _moves(before: View, after: View, posers: Sequence[Poser]) -> bool:
         return True
     if not np.array_equal(before[1].K, after[1].K):
         return True
-    return any(
+    there = _bones(before, posers)
+    if any(
         float(np.abs(_pixels(a, before[1]) - _pixels(b, after[1])).max()) > SEEN
-        for a, b in zip(_bones(before, posers), _bones(after, posers), strict=True)
+        for a, b in zip(there, _bones(after, posers), strict=True)
+    ):
+        return True
+    return any(
+        poser.faced
+        and (size := head_pixels(bones, before[1])) >= SMALLEST
+        and _face_moves(a.face or REST, b.face or REST) * size > SEEN * HEAD_HEIGHT
+        for poser, a, b, bones in zip(posers, before[0], after[0], there, strict=True)
     )
+
+
+def _face_moves(before: FaceFrame, after: FaceFrame) -> float:
+    """About how far a face moves, metres."""
+    shapes, eyes = (np.abs(a - b).max() for a, b in ((before.weights, after.weights), (before.gaze, after.gaze)))
+    return max(LARGEST_SHAPE * float(shapes), LARGEST_BALL * float(eyes))
 
 
 def _blurred(lens: DepthOfField, focus: float, view: View, posers: Sequence[Poser]) -> bool:
@@ -102,7 +120,7 @@ def _blurred(lens: DepthOfField, focus: float, view: View, posers: Sequence[Pose
 
 def _bones(view: View, posers: Sequence[Poser]) -> list[PosedBones]:
     poses, camera = view
-    return [poser.posed(*pose, camera) for poser, pose in zip(posers, poses, strict=True)]
+    return [poser.posed(*pose[:2], camera) for poser, pose in zip(posers, poses, strict=True)]
 
 
 def _pixels(bones: PosedBones, camera: Camera) -> Float[Array, "points 2"]:

@@ -150,7 +150,10 @@ def scene_of(command: RenderCommand) -> Scene:
 
         scene = read_scene(command.scene)
     else:
-        like = SceneAvatar(BUILTIN, hands=command.hands, ground=command.ground, body=command.body)
+        like = SceneAvatar(
+            BUILTIN, hands=command.hands, ground=command.ground, body=command.body, life=command.life,
+            speech=command.speech,
+        )  # fmt: skip
         scene = Scene(side_by_side(command.avatar, [command.motion], like=like))
     if command.camera is not None:
         scene = replace(scene, cameras=(camera_from_option(command.camera),))

@@ -119,11 +119,14 @@ class ShotRenderer:
         self._move(frame)
         if effects.motion_blur is None and effects.depth_of_field is None:
             poses = self.stage.poses(frame)
-            return self.renderer.draw(poses, self.camera_at(frame, poses[0][1]), out, seconds=seconds)
+            camera = self.camera_at(frame, poses[0].root)
+            return self.renderer.draw(self.stage.faced(poses, frame, camera), camera, out, seconds=seconds)
 
         def view_at(share: float) -> tuple[list[Pose], Camera]:
             poses = self.stage.poses_beside(frame, share) if share else self.stage.poses(frame)
-            return poses, self.camera_at(frame + share if share else frame, poses[0][1])
+            at = frame + share if share else frame
+            camera = self.camera_at(at, poses[0].root)
+            return self.stage.faced(poses, at, camera), camera
 
         return self.renderer.expose(exposures(effects, view_at, self.renderer.posers), out, seconds=seconds)
 

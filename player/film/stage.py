@@ -15,6 +15,7 @@ from jaxtyping import Float
 from avatar.camera import Camera, orbit_camera
 from avatar.hull import hull_of, outermost, posed_hull
 from command.errors import AssetError
+from player.scene.acting import ALONE
 from player.scene.camera_path import CameraPath, is_path
 from player.scene.framing import ELEVATION, FOV, View, evenly, facing, fitted, fitted_round, view_from
 from player.scene.motions import BLOCK
@@ -86,7 +87,7 @@ class Stage:
         self.frames = self._frames() if self.still is None else max(1, round(self.turn * rate))
 
     def _frames(self) -> int:
-        return max(1, *(int(np.ceil(track.end * self.rate - 1e-6)) for track in self.tracks))
+        return max(1, *(int(np.ceil(track.lasts(ALONE) * self.rate - 1e-6)) for track in self.tracks))
 
     def size(self) -> tuple[int, int]:
         """Pixels: the scene's, the camera file's, or 640 x 640."""
@@ -97,13 +98,18 @@ class Stage:
     def poses(self, frame: int) -> list[Pose]:
         """One pose for each avatar. A motion that has ended stays at its last frame."""
         seconds = (frame if self.still is None else self.still) / self.rate
-        return [track.pose(seconds) for track in self.tracks]
+        return [track.pose(seconds, frame / self.rate) for track in self.tracks]
 
     def poses_beside(self, frame: int, share: float) -> list[Pose]:
         """The poses so many frames (-1 to 1) from a frame, between those of the motions."""
         if self.still is not None:
             return self.poses(frame)
         return [track.pose_beside(frame / self.rate, share / self.rate) for track in self.tracks]
+
+    def faced(self, poses: list[Pose], frame: float | int, camera: Camera) -> list[Pose]:
+        """The poses with what faces do at a frame of the film, seen through this camera."""
+        seconds = frame / self.rate
+        return [track.faced(pose, seconds, camera.eye) for track, pose in zip(self.tracks, poses, strict=True)]
 
     def fit(self, start: int, stop: int) -> Fit | None:
         """What the fitted cameras of a film of these frames look at; None for cameras from files, and placed ones."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from avatar.body import Body, builtin_body, read_body
 from avatar.hull import body_hull
-from avatar.motion.clip import Motion, builtin_skeleton, fitted
+from avatar.motion.clip import Clip, Motion, builtin_skeleton, fitted
 from avatar.motion.ground import on_ground
 from avatar.motion.read import read_motion
 from command.command_line import Help, Option, parse
@@ -23,7 +23,7 @@ from player.live import json_pose
 from player.live.frame import LivePose, between
 from player.live.one_euro import LEAST
 from player.live.vmc import VmcEncoder
-from player.scene.address import Address, parse_address
+from player.scene.address import PORTS, Address, parse_address
 from player.scene.arguments import LIVE
 from player.scene.motions import BLOCK
 
@@ -38,7 +38,7 @@ EXAMPLES = """examples
 
 
 def source(text: str) -> Address:
-    return _address(text, ("vmc", "udp", "ws"))
+    return _address(text, tuple(PORTS))
 
 
 def target(text: str) -> Address:
@@ -59,13 +59,15 @@ def _address(text: str, kinds: tuple[str, ...]) -> Address:
 class LiveCommand:
     """The live poses of `selfscan play`."""
 
-    live: Annotated[Address | None, LIVE, Option(metavar="vmc:PORT|udp:PORT|ws:PORT", parse=source),
-        "pose by what arrives: VMC (usual port 39539), or our JSON over UDP or WebSocket; this machine only, unless "
-        "HOST:PORT names another interface (0.0.0.0: all)"] = None
+    live: Annotated[Address | None, LIVE, Option(metavar="vmc:PORT|udp:PORT|ws:PORT|...", parse=source),
+        "pose by what arrives: VMC (usual port 39539), our JSON over UDP or WebSocket, or a face alone: ifacialmocap, "
+        "livelinkface, openseeface; this machine only, unless HOST:PORT names another interface (0.0.0.0: all)"] = None
     smooth: Annotated[float | None, LIVE.rare, AtLeast(0.01), AtMost(1000), Option(metavar="HZ", const=LEAST),
         f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})"] = None
     calibrate: Annotated[float | None, LIVE.rare, AtLeast(0), AtMost(3600), Option(metavar="S"),
         "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)"] = None
+    grimace: Annotated[bool, LIVE.rare,
+        "from the first face on pull faces for 5 seconds: each shape then goes from 0 to 1"] = False
     record: Annotated[str | None, LIVE.rare, Option(metavar="FILE.npz"),
         "write what came as an AMASS pose file at the end"] = None
 
@@ -136,17 +138,18 @@ def encoder(kind: str, body: Body, wall: Callable[[], float] = time.time) -> Enc
     height = -float(body.vertices[:, 1].min())
     if kind == "vmc":
         vmc = VmcEncoder(body.joints.astype(np.float64))
-        return lambda _number, seconds, pose: vmc.encode(pose.axis_angle, pose.root, seconds)
+        return lambda _number, seconds, pose: vmc.encode(pose.axis_angle, pose.root, seconds, pose.face)
 
     def encode(number: int, _seconds: float, pose: LivePose) -> bytes:
         return json_pose.build_pose(
-            pose.axis_angle, pose.root, time=wall(), sequence=number, sender="selfscan", pelvis_height=height
-        )
+            pose.axis_angle, pose.root, time=wall(), sequence=number, sender="selfscan", pelvis_height=height,
+            face=pose.face,
+        )  # fmt: skip
 
     return encode
 
 
-def timed_poses(motion: Motion, rate: float | int, *, loop: bool) -> Iterator[tuple[float, LivePose]]:
+def timed_poses(motion: Motion | Clip, rate: float | int, *, loop: bool) -> Iterator[tuple[float, LivePose]]:
     """The motion at a rate, read in blocks: seconds since the start, and the pose then, between frames on the
     shorter arc. The last pose is the last that is not after the motion's last frame; looping, the first frame
     follows one step after it."""
@@ -158,10 +161,14 @@ def timed_poses(motion: Motion, rate: float | int, *, loop: bool) -> Iterator[tu
         if block is None or not first <= frame < first + len(block.root) - 1:
             first = frame
             block = motion.read(first, min(first + BLOCK, motion.frames))
-        near, part = LivePose(block.axis_angle[frame - first], block.root[frame - first]), at - frame
+        near, part = _pose(block, frame - first), at - frame
         if part >= 1e-6:
-            near = between(near, LivePose(block.axis_angle[frame + 1 - first], block.root[frame + 1 - first]), part)
+            near = between(near, _pose(block, frame + 1 - first), part)
         yield index / rate, near
+
+
+def _pose(clip: Clip, frame: int) -> LivePose:
+    return LivePose(clip.axis_angle[frame], clip.root[frame], clip.face_at(frame))
 
 
 def send(

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar import rotation
+from avatar.face import FaceFrame, face_between
 
 
 class LivePose(NamedTuple):
@@ -14,11 +15,14 @@ class LivePose(NamedTuple):
 
     axis_angle: Float[np.ndarray, "52 3"]
     root: Float[np.ndarray, "3"]  # pelvis joint, metres
+    # None: the sender says nothing of it
+    face: FaceFrame | None = None
 
 
 def between(a: LivePose, b: LivePose, part: float) -> LivePose:
-    """A share `part` of the way from one pose to another: joints on the shorter arc, the root straight."""
-    return LivePose(rotation.between(a.axis_angle, b.axis_angle, part), a.root + part * (b.root - a.root))
+    """A share `part` of the way from one pose to another: joints on the shorter arc, root and face straight."""
+    joints, root = rotation.between(a.axis_angle, b.axis_angle, part), a.root + part * (b.root - a.root)
+    return LivePose(joints, root, face_between(a.face, b.face, part))
 
 
 class LiveFrame(NamedTuple):
@@ -33,6 +37,15 @@ class LiveFrame(NamedTuple):
     time: float
     # counts frames; a frame that is completed by a second datagram keeps its number
     number: int
+
+
+class Decoded(NamedTuple):
+    """What a decoder made of a datagram: a frame's content, whether it begins a new one, and the sender's clock."""
+
+    content: object
+    begins: bool
+    sent: float | None
+    restarted: bool
 
 
 @dataclass

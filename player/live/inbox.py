@@ -7,21 +7,43 @@ follows `received`. A take is made of them.
 
 import threading
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 from player.live.calibration import calibrated, identity_calibration, pose_from_rig
-from player.live.frame import Counters, LiveFrame, LivePose
-from player.live.json_pose import LARGEST as LARGEST_JSON
+from player.live.face_sender import FaceDecoder, SentFace
+from player.live.frame import Counters, Decoded, LiveFrame, LivePose
+from player.live.ifacialmocap import parse_ifacialmocap
 from player.live.json_pose import JsonDecoder, JsonPose
-from player.live.osc import LARGEST as LARGEST_OSC
+from player.live.livelinkface import parse_livelinkface
+from player.live.openseeface import parse_openseeface
 from player.live.take import Take
-from player.live.vmc import VmcDecoder, VmcState, rig_from_state
+from player.live.vmc import VmcDecoder, VmcState, face_of, rig_from_state
 
 # seconds; float32 clocks step by 1 ms from here on, so arrival is the better clock
 COARSE = 8192.0
 # seconds; a sender's clock that jumps by more against ours is started anew
 JUMP = 1.0
 SILENT = 1.0  # seconds without a datagram
+
+
+class Decoder(Protocol):
+    """Makes frames of the datagrams of one protocol."""
+
+    largest: int  # bytes
+
+    def decode(self, data: bytes | str, received: float | int, counters: Counters, /) -> Decoded | None: ...
+
+
+# by the kind of an address (player/scene/address.py)
+DECODERS: dict[str, Callable[[], Decoder]] = {
+    "vmc": VmcDecoder,
+    "udp": JsonDecoder,
+    "ws": JsonDecoder,
+    "ifacialmocap": lambda: FaceDecoder(parse_ifacialmocap),
+    "livelinkface": lambda: FaceDecoder(parse_livelinkface),
+    "openseeface": lambda: FaceDecoder(parse_openseeface),
+}
 
 
 class SourceStatus(NamedTuple):
@@ -41,9 +63,7 @@ class Inbox:
     def __init__(self, kind: str, *, take: Take | None = None):
         self.lock = threading.Lock()
         self.arrived = threading.Condition(self.lock)
-        self.vmc = VmcDecoder() if kind == "vmc" else None
-        self.json = JsonDecoder()
-        self.largest = LARGEST_OSC if self.vmc else LARGEST_JSON
+        self.decoder = DECODERS[kind]()
         self.counters = Counters()
         self.take = take
         self.calibration = identity_calibration()
@@ -55,19 +75,12 @@ class Inbox:
         """Take a datagram that arrived at `received`. Nothing in it can make this fail."""
         with self.lock:
             self.counters.received += 1
-            if len(data) > self.largest:
+            if len(data) > self.decoder.largest:
                 self.counters.oversized += 1
                 return
-            if self.vmc is not None:
-                assert isinstance(data, bytes)
-                arrival = self.vmc.decode(data, self.counters)
-                if arrival is not None:
-                    self._accept(arrival.state, arrival.sent, received, arrival.begins, arrival.restarted)
-                return
-            found = self.json.decode(data, received, self.counters)
+            found = self.decoder.decode(data, received, self.counters)
             if found is not None:
-                pose, restarted = found
-                self._accept(pose, pose.time, received, True, restarted)
+                self._accept(found, received)
 
     def oversize(self) -> None:
         """Count a message that was too large to be handed over."""
@@ -75,26 +88,24 @@ class Inbox:
             self.counters.received += 1
             self.counters.oversized += 1
 
-    def _accept(
-        self, content: object, sent: float | None, received: float | int, begins: bool, restarted: bool
-    ) -> None:
+    def _accept(self, found: Decoded, received: float | int) -> None:
         last = self.newest
-        if restarted:
+        if found.restarted:
             self.start = None
-        if begins or last is None:
+        if found.begins or last is None:
             self.counters.frames += 1
             self.arrivals.append(received)
             self._record()
-            time = self._time(sent, received)
+            time = self._time(found.sent, received)
         else:
             time = last.time
-        self.newest = LiveFrame(content, received, sent, time, self.counters.frames)
+        self.newest = LiveFrame(found.content, received, found.sent, time, self.counters.frames)
         self.arrived.notify_all()
 
     def _time(self, sent: float | None, received: float | int) -> float:
         """When the pose was, on our clock; never before the last one's."""
         time = float(received)
-        if sent is not None and not (self.vmc is not None and abs(sent) > COARSE):
+        if sent is not None and not (isinstance(self.decoder, VmcDecoder) and abs(sent) > COARSE):
             if self.start is None or abs((received - self.start[1]) - (sent - self.start[0])) > JUMP:
                 self.start = (float(sent), float(received))
             time = self.start[1] + (sent - self.start[0])
@@ -120,8 +131,8 @@ class Inbox:
     def pose(self, frame: LiveFrame) -> LivePose:
         """A frame in our joints and world, of the sender's body."""
         if isinstance(frame.content, VmcState):
-            return pose_from_rig(rig_from_state(frame.content), self.calibration)
-        assert isinstance(frame.content, JsonPose)
+            return pose_from_rig(rig_from_state(frame.content), self.calibration, face_of(frame.content))
+        assert isinstance(frame.content, JsonPose | SentFace)
         return frame.content.pose
 
     def leg(self) -> float | None:
@@ -154,5 +165,5 @@ class Inbox:
             age = now - self.newest.received if self.newest else None
             span = times[-1] - times[0] if len(times) > 1 else 0.0
             rate = (len(times) - 1) / span if span > 0 and age is not None and age < SILENT else 0.0
-            tracking = self.vmc is None or self.vmc.tracking
+            tracking = not isinstance(self.decoder, VmcDecoder) or self.decoder.tracking
             return SourceStatus(self.counters.frames, rate, age, Counters(**vars(self.counters)), tracking)

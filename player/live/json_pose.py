@@ -1,11 +1,12 @@
 """Our own pose in JSON, one object a UDP datagram or a WebSocket message:
 
-    {"v": 1, "t": 12.345, "seq": 42, "id": "a", "trans": [x, y, z], "poses": [156 numbers]}
+    {"v": 1, "t": 12.345, "seq": 42, "id": "a", "trans": [x, y, z], "poses": [156 numbers], "face": {"jawOpen": 0.3}}
 
 `poses` are 52 axis-angle vectors in SMPL+H order, flat-hand convention, radians; `trans` is the pelvis joint in
 the world, +y up, metres. `t` is seconds on the sender's clock (Unix time lets the latency be absolute), `seq`
 counts up by one a message. `id` (at most 64 letters) keeps several senders apart and may be left out, as may
-`pelvis_height`: metres from the soles to the pelvis of the body that `trans` fits. Other keys are ignored.
+`pelvis_height`: metres from the soles to the pelvis of the body that `trans` fits, and `face`: ARKit's shapes or VRM's
+expressions (avatar/face_names.py) from 0 to 1; those that are not in it rest, unknown ones and other keys are ignored.
 """
 
 import json
@@ -15,9 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from player.live.frame import Counters, LivePose
+from avatar.face import SHAPES, FaceFrame
+from avatar.face_names import weights_of
+from avatar.gaze import gaze_of
+from player.live.frame import Counters, Decoded, LivePose
 
-LARGEST = 16384  # bytes; a message has about 3000
+LARGEST = 16384  # bytes; a message has about 3000, with a face 4500
+MOST_NAMES = 256  # of a face
 # a sequence number older by more is a restarted sender
 REORDERED = 64
 # seconds that the followed sender may be silent before another is followed
@@ -61,7 +66,20 @@ def parse_pose(data: bytes | str) -> JsonPose:
         height = float(_numbers([height], 1, 100, "pelvis_height")[0])
         if height < 0.05:
             raise PoseError("pelvis_height should be metres, at least 0.05")
-    return JsonPose(float(time), sequence, sender, LivePose(poses.reshape(52, 3), trans), height)
+    return JsonPose(float(time), sequence, sender, LivePose(poses.reshape(52, 3), trans, _face(found)), height)
+
+
+def _face(found: dict) -> FaceFrame | None:
+    """The face of a message, where it has one."""
+    named = found.get("face")
+    if named is None:
+        return None
+    if not isinstance(named, dict) or len(named) > MOST_NAMES:
+        raise PoseError(f"face should be an object of at most {MOST_NAMES} names")
+    if not all(type(value) in (int, float) and 0 <= value <= 1 for value in named.values()):
+        raise PoseError("face should have numbers from 0 to 1")
+    weights = weights_of(named)
+    return FaceFrame(weights, gaze_of(weights))
 
 
 def _refuse(name: str) -> None:
@@ -85,8 +103,9 @@ def build_pose(
     sequence: int,
     sender: str = "",
     pelvis_height: float | None = None,
+    face: FaceFrame | None = None,
 ) -> bytes:
-    """One message; the numbers to 1e-6."""
+    """One message; the numbers to 1e-6. A gaze is sent as the eyeLook* shapes of `face` say it."""
     message: dict = {"v": 1, "t": time, "seq": sequence}
     if sender:
         message["id"] = sender
@@ -94,11 +113,15 @@ def build_pose(
         message["pelvis_height"] = round(pelvis_height, 6)
     message["trans"] = np.round(root, 6).tolist()
     message["poses"] = np.round(axis_angle, 6).reshape(-1).tolist()
+    if face is not None:
+        message["face"] = {name: round(float(weight), 4) for name, weight in zip(SHAPES, face.weights) if weight > 0}
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
 
 
 class JsonDecoder:
     """Messages to poses of one sender: each sequence number once; gaps, late and repeated ones are counted."""
+
+    largest = LARGEST
 
     def __init__(self):
         self.sender: str | None = None
@@ -108,7 +131,7 @@ class JsonDecoder:
         self.recent: deque[tuple[int, float]] = deque(maxlen=2 * REORDERED)
         self.late_in_a_row = 0
 
-    def decode(self, data: bytes | str, received: float | int, counters: Counters) -> tuple[JsonPose, bool] | None:
+    def decode(self, data: bytes | str, received: float | int, counters: Counters) -> Decoded | None:
         """The pose, and whether the sender has restarted; None where it is not used: the counters say why."""
         try:
             pose = parse_pose(data)
@@ -142,7 +165,7 @@ class JsonDecoder:
             else:
                 counters.lost += ahead - 1
         self.newest, self.late_in_a_row = pose.sequence, 0
-        return pose, restarted
+        return Decoded(pose, True, pose.time, restarted)
 
     def _begin(self, sender: str) -> None:
         self.sender, self.newest, self.late_in_a_row = sender, None, 0

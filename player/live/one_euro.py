@@ -53,7 +53,7 @@ class OneEuro:
             last_q, last_root = self.smooth
             self.raw = (q, root)
             self.smooth = (slerp(last_q, q, turning), last_root + moving * (root - last_root))
-        return LivePose(axis_angle_from_quaternion(self.smooth[0]), self.smooth[1])
+        return LivePose(axis_angle_from_quaternion(self.smooth[0]), self.smooth[1], pose.face)
 
 
 def share(cutoff, dt: float | int):

@@ -7,15 +7,19 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
+from avatar.face import face_between
 from player.live.frame import LivePose
+from player.live.gains import Gains
 from player.live.inbox import SILENT, Inbox
 from player.live.latency import DRAWN, Latency
 from player.live.one_euro import OneEuro
 from player.live.vmc import joint_offsets, leg_length
-from player.scene.address import Address
+from player.scene.address import FACE_SENDERS, Address
 from player.scene.framing import pelvis_height
 from player.scene.renderer import Pose
 
+# seconds in which the face of a sender that has gone comes to rest
+FADE = 0.5
 # metres; a pelvis lower than this was not measured, not even of someone who lies
 LOW = 0.05
 PATIENCE = 10.0  # seconds that a script waits for a pose
@@ -36,6 +40,7 @@ class LivePlayback:
         *,
         smooth: float | None = None,
         calibrate_after: float | None = None,
+        gains: Gains | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):
         self.inbox, self.address, self.clock = inbox, address, clock
@@ -43,12 +48,15 @@ class LivePlayback:
         self.heights = [pelvis_height(avatar) for avatar in avatars]
         self.legs = [leg_length(joint_offsets(avatar.joint_positions.astype(np.float64))) for avatar in avatars]
         self.filter = OneEuro(smooth) if smooth is not None else None
+        self.gains = gains
         self.latency = Latency()
         self.countdown = calibrate_after
         self.origin: Float[np.ndarray, "3"] | None = None  # in the sender's metres
         # whether the pose that sets the origin stands on the ground for certain
         self.stands = False
         self.shown: LivePose | None = None
+        # whether the sender moves the body; else a motion does, and the sender turns the head
+        self.moves_body = address.kind not in FACE_SENDERS
         self.sampled: float | None = None
 
     def advance(self, dt: float | int) -> None:
@@ -71,23 +79,28 @@ class LivePlayback:
             self.filter.reset()
 
     def poses(self) -> list[Pose]:
-        """A pose for each avatar. Paused or silent, the last good one."""
+        """A pose for each avatar. Paused or silent, the last good one; of a sender that has gone the face rests."""
         now = self.clock()
         found = self.inbox.sample() if self.playing else None
         if found is not None:
             frame, pose = found
             self.latency.applied(frame, now)
+            if self.gains is not None and pose.face is not None:
+                pose = pose._replace(face=self.gains(pose.face, now))
             dt = now - self.sampled if self.sampled is not None else 0.0
             self.shown = self.filter(pose, dt) if self.filter else pose
+            gone = (now - frame.received - SILENT) / FADE
+            if gone > 0:
+                self.shown = self.shown._replace(face=face_between(pose.face, None, gone) if gone < 1 else None)
             self.sampled = now
             if self.origin is None:
                 self.origin = pose.root * [1.0, 0.0, 1.0]
                 if self.stands or abs(pose.root[1]) < LOW:
                     self.origin[1] = pose.root[1] - self.heights[0] / self._ratio(0)
         if self.shown is None or self.origin is None:
-            return [(np.zeros((52, 3)), np.array([0.0, height, 0.0])) for height in self.heights]
-        root = self.shown.root - self.origin
-        return [(self.shown.axis_angle, root * self._ratio(k)) for k in range(len(self.heights))]
+            return [Pose(np.zeros((52, 3)), np.array([0.0, height, 0.0])) for height in self.heights]
+        root, shown = self.shown.root - self.origin, self.shown
+        return [Pose(shown.axis_angle, root * self._ratio(k), shown.face) for k in range(len(self.heights))]
 
     def _ratio(self, k: int) -> float:
         """Avatar k's size against the sender's body; 1 where the sender does not say."""
@@ -115,6 +128,8 @@ class LivePlayback:
         count = facts.counters
         if self.countdown is not None:
             return f"{self.address}  hold a T-pose: {self.countdown:.0f}"
+        if self.gains is not None and self.gains.left(self.clock()):
+            return f"{self.address}  pull faces, as wide as you can: {self.gains.left(self.clock()):.0f}"
         if facts.age is None:
             bad = f", {count.malformed + count.oversized} packets are no poses" if count.received else ""
             return f"{self.address}  waiting for poses{bad}"

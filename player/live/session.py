@@ -6,6 +6,7 @@ from contextlib import ExitStack, contextmanager
 from avatar.baked_avatar import Avatar
 from command.interrupt import deferred_stop
 from player.live.command import LiveCommand
+from player.live.gains import Gains
 from player.live.inbox import Inbox
 from player.live.playback import LivePlayback
 from player.live.receiver import listen
@@ -31,7 +32,8 @@ def live_session(address: Address, options: LiveCommand, avatars: Sequence[Avata
         listener = listen(address, inbox)
         ending.callback(listener.close)
         playback = LivePlayback(
-            inbox, listener.address, avatars, smooth=options.smooth, calibrate_after=options.calibrate
+            inbox, listener.address, avatars, smooth=options.smooth, calibrate_after=options.calibrate,
+            gains=Gains() if options.grimace else None,
         )
         if take is not None:
             take.sender_height = playback.sender_height

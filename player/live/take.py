@@ -19,6 +19,7 @@ from command.errors import AssetError
 from command.progress import plural
 from files.whole import check_file, locked
 from player.live.frame import LivePose
+from player.scene.motions import BLOCK
 
 # 80 minutes at 60 frames a second; at most so many are recorded, and at most so many are written
 MOST_FRAMES = 300_000
@@ -26,11 +27,11 @@ USUAL_RATES = (24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 144, 240)
 # frames a second; poses that came faster came in a burst
 FASTEST = 1000.0
 LONGEST_PAUSE = 2.0  # seconds; a longer silence is cut to this
-MAGIC = b"selfscan-take-1\n"
+MAGIC = b"selfscan-take-2\n"
 # pelvis height of the sender's body in metres, NaN where it is not known
 HEADER = np.dtype([("magic", "S16"), ("pelvis_height", "<f8")])
-# joints, then the root
-RECORD = np.dtype([("time", "<f8"), ("pose", "<f4", (53, 3))])
+# joints, then the root; weights of the face, then yaw and pitch of each eye, NaN where the sender says nothing of them
+RECORD = np.dtype([("time", "<f8"), ("pose", "<f4", (53, 3)), ("face", "<f2", 56)])
 # frames between two notes of the pelvis height
 NOTED = 64
 
@@ -74,7 +75,8 @@ class Take:
             self.stopped = "as many as a take holds"
             return
         numbers = np.concatenate([pose.axis_angle, pose.root[None]]).astype(np.float32)
-        data = np.array([(time, numbers)], RECORD).tobytes()
+        face = np.full(56, np.nan) if pose.face is None else np.append(pose.face.weights, pose.face.gaze)
+        data = np.array([(time, numbers, face)], RECORD).tobytes()
         place = HEADER.itemsize + self.frames * RECORD.itemsize
         try:
             if os.pwrite(self.file, data, place) < len(data):
@@ -154,7 +156,11 @@ def even_motion(records: np.ndarray, pelvis_height: float | None, name: str) -> 
     def block(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
         return poses_at_ticks(ticks, lambda chosen: records["pose"][last[chosen]].astype(np.float64), start, stop)
 
-    return Motion(name, int(ticks[-1]) + 1, rate, notes, block, pelvis_height)
+    def faces(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        return faces_at_ticks(ticks, lambda chosen: records["face"][last[chosen]], start, stop)
+
+    some = any(np.isfinite(records["face"][k : k + BLOCK, 0]).any() for k in range(0, len(records), BLOCK))
+    return Motion(name, int(ticks[-1]) + 1, rate, notes, block, pelvis_height, faces=faces if some else None)
 
 
 def even_rate(steps: Float[np.ndarray, "steps"]) -> float:
@@ -186,6 +192,22 @@ def poses_at_ticks(
         out[missing, :52] = between(before[:, :52], behind[:, :52], np.repeat(part[:, None], 52, 1))
         out[missing, 52] = before[:, 52] + part[:, None] * (behind[:, 52] - before[:, 52])
     return out[:, :52], out[:, 52]
+
+
+def faces_at_ticks(
+    ticks: Int[np.ndarray, "frames"], faces: Callable[[np.ndarray], np.ndarray], start: int, stop: int
+) -> tuple[Float[np.ndarray, "ticks 52"], Float[np.ndarray, "ticks 2 2"]]:
+    """Weights and gaze on the ticks start .. stop - 1, those between frames straight; at rest where there is none.
+
+    `faces` gives the numbers (chosen, 56) of frames by their numbers.
+    """
+    wanted = np.arange(start, stop)
+    after = np.searchsorted(ticks, wanted)
+    before = np.where(ticks[after] == wanted, after, after - 1)
+    part = (wanted - ticks[before]) / np.maximum(ticks[after] - ticks[before], 1)
+    a, b = (np.nan_to_num(faces(chosen).astype(np.float64)) for chosen in (before, after))
+    out = a + part[:, None] * (b - a)
+    return out[:, :52], out[:, 52:].reshape(-1, 2, 2)
 
 
 def _records(path: Path) -> np.ndarray:

@@ -5,9 +5,13 @@ we are right-handed, so x is mirrored and left stays left:
 
     p' = (-x, y, z)        q' = (x, -y, -z, w)
 
-Bones that a sender lacks (often UpperChest) stay at rest; eyes, jaw and unknown names are ignored. The pelvis is
+Bones that a sender lacks (often UpperChest) stay at rest; jaw and unknown names are ignored. The pelvis is
 root pose times Hips pose. A sender's bones are taken as normalised (identity in T-pose, as VRM 0) until
 `calibration` says otherwise.
+
+`/VMC/Ext/Blend/Val` gives a value under an expression's name (avatar/face_names.py), as often as a sender likes;
+`/VMC/Ext/Blend/Apply` shows what came since the last one, and values hold until they are sent again. Eyes look where
+both eyes' bones turn, where they are sent and turn at all, else where the eyeLook* shapes say.
 """
 
 from collections import deque
@@ -17,15 +21,21 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.rotation import quaternion_from_axis_angle
+from avatar.face import REST, SHAPES, FaceFrame
+from avatar.face_names import shapes_called, weights_of
+from avatar.gaze import angles_of, with_looks, within_reach
+from avatar.rotation import matrix_from_quaternion, quaternion_from_axis_angle
 from avatar.skeleton import PARENTS
-from player.live.frame import Counters
-from player.live.osc import Message, OscError, build_bundle, build_message, parse_packet
+from player.live.face_sender import sent_face
+from player.live.frame import Counters, Decoded
+from player.live.osc import LARGEST, Message, OscError, build_bundle, build_message, parse_packet
 
 # seconds; a clock set back by more was restarted, by less its datagram came late
 RESTART = 1.0
 # datagrams, to know a repeated one
 REMEMBERED = 16
+# names of expressions that are held
+MOST_VALUES = 256
 
 _BODY = (
     "Hips LeftUpperLeg RightUpperLeg Spine LeftLowerLeg RightLowerLeg Chest LeftFoot RightFoot UpperChest "
@@ -40,6 +50,7 @@ _JOINT = {name.lower(): joint for joint, name in enumerate(BONES)}
 _LEGS = [(1, 4, 7), (2, 5, 8)]
 
 Bone = tuple[float, ...]  # seven: position xyz, rotation xyzw, as sent
+Blend = tuple[str, float] | None  # an expression's value; None: those since the last time are shown
 
 
 def _joints(vrm1_thumbs: bool) -> dict[str, int]:
@@ -52,7 +63,8 @@ def _joints(vrm1_thumbs: bool) -> dict[str, int]:
 
 
 JOINT_OF = {False: _joints(False), True: _joints(True)}
-KNOWN = frozenset(JOINT_OF[True])
+EYES = ("lefteye", "righteye")
+KNOWN = frozenset(JOINT_OF[True]) | {*EYES}
 
 
 class VmcState(NamedTuple):
@@ -60,6 +72,7 @@ class VmcState(NamedTuple):
 
     bones: dict[str, Bone]
     root: Bone | None
+    face: FaceFrame | None = None
 
 
 class VmcRig(NamedTuple):
@@ -73,17 +86,11 @@ class VmcRig(NamedTuple):
     leg: float | None
 
 
-class DecodedDatagram(NamedTuple):
-    """A decoded datagram: a state, whether it begins a new frame, and the sender's clock."""
-
-    state: VmcState
-    begins: bool
-    sent: float | None
-    restarted: bool
-
-
 class VmcDecoder:
-    """Datagrams to states. A frame may be cut into several datagrams: a bone seen again begins the next frame."""
+    """Datagrams to states. A frame may be cut into several datagrams: a bone seen again begins the next frame; so does
+    a face where no bone ever came."""
+
+    largest = LARGEST
 
     def __init__(self):
         self.bones: dict[str, Bone] = {}
@@ -94,15 +101,20 @@ class VmcDecoder:
         self.clock_is_new = False
         self.recent: deque[int] = deque(maxlen=REMEMBERED)
         self.tracking = True
+        # expressions as they were sent, and the face that they were applied to
+        self.values: dict[str, float] = {}
+        self.face: FaceFrame | None = None
 
-    def decode(self, data: bytes, counters: Counters) -> DecodedDatagram | None:
-        """The state after this datagram, or None where it held no bone or is not used; the counters say why."""
+    def decode(self, data: bytes | str, _received: float | int, counters: Counters) -> Decoded | None:
+        """The state after this datagram, or None where it held no bone and no face or is not used; the counters say
+        why."""
         try:
+            assert isinstance(data, bytes)
             messages = parse_packet(data)
         except OscError:
             counters.malformed += 1
             return None
-        clock, found, root, bad = self._read(messages)
+        clock, found, root, blends, bad = self._read(messages)
         if clock is not None and self._is_old(data, clock, counters):
             return None
         restarted = clock is not None and self.clock is not None and clock < self.clock - RESTART
@@ -111,7 +123,7 @@ class VmcDecoder:
         if bad:
             counters.malformed += 1
         names = set(found) | ({"root"} if root else set())
-        if not names:
+        if not self._blended(blends) and not names:
             return None
         begins = not self.seen or not self.seen.isdisjoint(names)
         if begins:
@@ -123,10 +135,10 @@ class VmcDecoder:
         self.clock_is_new = False
         self.bones.update(found)
         self.root = root or self.root
-        return DecodedDatagram(VmcState(dict(self.bones), self.root), begins, self.frame_clock, restarted)
+        return Decoded(VmcState(dict(self.bones), self.root, self.face), begins, self.frame_clock, restarted)
 
-    def _read(self, messages: list[Message]) -> tuple[float | None, dict[str, Bone], Bone | None, bool]:
-        clock, found, root, bad = None, {}, None, False
+    def _read(self, messages: list[Message]) -> tuple[float | None, dict[str, Bone], Bone | None, list[Blend], bool]:
+        clock, found, root, blends, bad = None, {}, None, [], False
         for address, arguments in messages:
             if address == "/VMC/Ext/Bone/Pos" or address == "/VMC/Ext/Root/Pos":
                 pose = _pose(arguments)
@@ -138,6 +150,14 @@ class VmcDecoder:
                     name = arguments[0].lower()
                     if name in KNOWN:
                         found[name] = pose
+            elif address == "/VMC/Ext/Blend/Val":
+                name, value = (*arguments, None, None)[:2]
+                if isinstance(name, str) and isinstance(value, int | float) and abs(value) < 1e6:
+                    blends.append((name, float(value)))
+                else:
+                    bad = True
+            elif address == "/VMC/Ext/Blend/Apply":
+                blends.append(None)
             elif address == "/VMC/Ext/T":
                 if len(arguments) >= 1 and isinstance(arguments[0], (int, float)) and abs(arguments[0]) < 1e12:
                     clock = float(arguments[0])
@@ -146,7 +166,18 @@ class VmcDecoder:
             elif address == "/VMC/Ext/OK":
                 numbers = [value for value in arguments if isinstance(value, int)]
                 self.tracking = bool(numbers and numbers[0]) and (len(numbers) < 4 or numbers[3] != 0)
-        return clock, found, root, bad
+        return clock, found, root, blends, bad
+
+    def _blended(self, blends: list[Blend]) -> bool:
+        """Hold what was sent of expressions; whether they were applied to the face. Unknown names are not held."""
+        applied = False
+        for blend in blends:
+            if blend is None:
+                if self.values:
+                    self.face, applied = sent_face(weights_of(self.values)), True
+            elif shapes_called(blend[0]) is not None and (blend[0] in self.values or len(self.values) < MOST_VALUES):
+                self.values[blend[0]] = min(max(blend[1], 0.0), 1.0)
+        return applied
 
     def _is_old(self, data: bytes, clock: float, counters: Counters) -> bool:
         """Whether a datagram with a clock came before, or belongs before what was used already."""
@@ -174,6 +205,26 @@ def _pose(arguments: tuple) -> Bone | None:
     except TypeError:
         pass
     return None
+
+
+def gaze_of_bones(bones: dict[str, Bone]) -> Float[Array, "2 2"] | None:
+    """The gaze of the eyes' bones; None where they were not sent, or do not turn."""
+    if not all(name in bones for name in EYES):
+        return None
+    turns = np.array([bones[name][3:] for name in EYES]) * [1.0, -1, -1, 1]
+    if np.abs(turns[:, :3]).max() < 1e-6:
+        return None
+    ahead = matrix_from_quaternion(turns / np.linalg.norm(turns, axis=1, keepdims=True))[:, :, 2]
+    return within_reach(np.stack([angles_of(one) for one in ahead]))
+
+
+def face_of(state: VmcState) -> FaceFrame | None:
+    """The face of a state, the lids of a gaze of bones with it; None: the sender says nothing of it."""
+    gaze = gaze_of_bones(state.bones)
+    if gaze is None:
+        return state.face
+    weights = REST.weights if state.face is None else state.face.weights
+    return FaceFrame(with_looks(weights, gaze), gaze)
 
 
 def rig_from_state(state: VmcState) -> VmcRig:
@@ -214,7 +265,7 @@ def joint_offsets(joints: Float[Array, "52 3"]) -> Float[Array, "52 3"]:
 
 
 class VmcEncoder:
-    """Poses to bundles, one a frame: all bones of a frame arrive, or none. 52 bones, about 4 KB."""
+    """Poses to bundles, one a frame: all bones of a frame arrive, or none. 52 bones are about 4 KB, a face 3."""
 
     def __init__(self, joints: Float[Array, "52 3"]):
         self.offsets = joint_offsets(joints) * [-1.0, 1, 1]
@@ -222,11 +273,19 @@ class VmcEncoder:
         self.root = build_message("/VMC/Ext/Root/Pos", "root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
         self.ok = build_message("/VMC/Ext/OK", 1, 3, 0, 1)
 
-    def encode(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], seconds: float | int) -> bytes:
-        """The bundle of a pose; `seconds` is the sender's clock."""
+    def encode(
+        self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], seconds: float | int,
+        face: FaceFrame | None = None,
+    ) -> bytes:  # fmt: skip
+        """The bundle of a pose; `seconds` is the sender's clock. A gaze is sent as the eyeLook* shapes say it."""
         positions = self.offsets.copy()
         positions[0] = root * np.array([-1.0, 1, 1])
         rotations = quaternion_from_axis_angle(axis_angle) * np.array([1.0, -1, -1, 1])
         numbers = np.concatenate([positions, rotations], 1).astype(">f4")
         bones = [head + row.tobytes() for head, row in zip(self.heads, numbers, strict=True)]
-        return build_bundle([self.ok, build_message("/VMC/Ext/T", float(seconds)), self.root, *bones])
+        blends = []
+        if face is not None:
+            shapes = zip(SHAPES, face.weights.tolist(), strict=True)
+            blends = [build_message("/VMC/Ext/Blend/Val", name, weight) for name, weight in shapes]
+            blends.append(build_message("/VMC/Ext/Blend/Apply"))
+        return build_bundle([self.ok, build_message("/VMC/Ext/T", float(seconds)), self.root, *bones, *blends])

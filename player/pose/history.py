@@ -3,11 +3,13 @@
 Changes that carry the same drag mark become one step, however many pixels the pointer took.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+
+from avatar.face import REST, FaceFrame
 
 # steps of undo that are kept
 STEPS = 500
@@ -19,6 +21,15 @@ class Pose:
 
     axis_angle: Float[Array, "52 3"]
     root: Float[Array, "3"]
+    # what the face does (avatar/face.py)
+    weights: Float[Array, "52"] = field(default_factory=lambda: REST.weights)
+    gaze: Float[Array, "2 2"] = field(default_factory=lambda: REST.gaze)
+
+    @property
+    def face(self) -> FaceFrame | None:
+        """None: it rests."""
+        frame = FaceFrame(self.weights, self.gaze)
+        return None if frame.rests else frame
 
     def __post_init__(self):
         for name, given in list(vars(self).items()):
@@ -28,7 +39,7 @@ class Pose:
 
     def same(self, other: "Pose") -> bool:
         """Equal to the last bit."""
-        return np.array_equal(self.axis_angle, other.axis_angle) and np.array_equal(self.root, other.root)
+        return all(np.array_equal(one, vars(other)[name]) for name, one in vars(self).items())
 
 
 class History:

@@ -12,6 +12,7 @@ from pathlib import Path
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from avatar.face import REST
 from avatar.limits import posed
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip, fitted
@@ -175,7 +176,8 @@ class Library:
 def write_pose(path: Path | str, pose: Pose, *, pelvis_height: float | None, up: str = "z") -> None:
     """One pose as a motion of one frame, whole or not at all. up="z" is what AMASS and its tools expect, and is as
     exact as a quarter turn in double precision; up="y" keeps our world and comes back to the last bit."""
-    write_amass(path, Clip(pose.axis_angle[None], pose.root[None], 30.0, (), pelvis_height), up=up)
+    face = (None, None) if pose.face is None else (pose.weights[None], pose.gaze[None])
+    write_amass(path, Clip(pose.axis_angle[None], pose.root[None], 30.0, (), pelvis_height, *face), up=up)
 
 
 def read_pose(path: Path | str, *, pelvis_height: float | None = None) -> Pose:
@@ -190,7 +192,8 @@ def read_pose(path: Path | str, *, pelvis_height: float | None = None) -> Pose:
     if pelvis_height is not None:
         motion = fitted(motion, pelvis_height)
     clip = motion.read(0, 1)
-    return Pose(clip.axis_angle[0], clip.root[0])
+    face = clip.face_at(0) or REST
+    return Pose(clip.axis_angle[0], clip.root[0], face.weights, face.gaze)
 
 
 def check_name(name: str) -> None:

@@ -5,6 +5,7 @@ business.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from avatar.face import REST, FaceFrame, mirrored_face
 from avatar.limits import clamped, with_angle
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
@@ -39,12 +41,16 @@ class PoseSession:
         root: Float[Array, "3"] | None = None,
         axis_angle: Float[Array, "52 3"] | None = None,
         pelvis_height: float | None = None,
+        face: FaceFrame | None = None,
     ):
         if root is None:
             root = np.array([0.0, pelvis_height or 0.0, 0.0])
         self.joints = np.array(joints, np.float64)
         self.pelvis_height = pelvis_height
-        self.history = History(Pose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root))
+        face = face or REST
+        self.history = History(
+            Pose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root, face.weights, face.gaze)
+        )
         self.limited = True
         self.pinned: dict[str, Pin] = {}  # limbs whose ends are held in the world
 
@@ -88,7 +94,7 @@ class PoseSession:
         if self.limited if limited is None else limited:
             touched = (axis_angle != self.pose.axis_angle).any(-1, keepdims=True)
             axis_angle = np.where(touched, clamped(axis_angle), axis_angle)
-        pose = Pose(axis_angle, root)
+        pose = replace(self.pose, axis_angle=axis_angle, root=root)
         if drag is None and pose.same(self.pose):
             return
         self.history.change(label, pose, drag)
@@ -108,6 +114,18 @@ class PoseSession:
         """One slider: a named angle of a joint, radians."""
         pose = with_angle(self.pose.axis_angle, joint, freedom, value, limited=self.limited)
         self.put(JOINTS[joint], pose, drag=drag, joint=joint)
+
+    def set_face(self, weights: Float[Array, "52"], gaze: Float[Array, "2 2"], *, drag: object | None = None) -> None:
+        """Another face, the body as it is.
+
+        Raises:
+            ValueError: a number is not finite.
+        """
+        if not (np.isfinite(weights).all() and np.isfinite(gaze).all()):
+            raise ValueError("a face holds a number that is not finite")
+        pose = replace(self.pose, weights=weights, gaze=gaze)
+        if drag is not None or not pose.same(self.pose):
+            self.history.change("face", pose, drag)
 
     def set_hand(self, side: Side, shape: HandShape) -> None:
         self.put(f"{side} hand", with_hand(self.pose.axis_angle, side, shape))
@@ -158,7 +176,10 @@ class PoseSession:
             self.pinned.pop(limb, None)
 
     def mirror(self) -> None:
-        self.put("mirror", mirrored_in_place(self.pose.axis_angle), hold=False)
+        step, face = object(), mirrored_face(FaceFrame(self.pose.weights, self.pose.gaze))
+        self.put("mirror", mirrored_in_place(self.pose.axis_angle), drag=step, hold=False)
+        self.set_face(face.weights, face.gaze, drag=step)
+        self.history.end_drag()
 
     def to_other_side(self, joints: Sequence[int]) -> None:
         """The other side does what these joints do."""

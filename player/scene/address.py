@@ -1,15 +1,17 @@
-"""Where live poses come from or go to: vmc:PORT, udp:PORT, ws:PORT, with HOST: before the port to name one."""
+"""Where live poses come from or go to: vmc:PORT, udp:PORT, ws:PORT ..., with HOST: before the port to name one."""
 
 import ipaddress
 from typing import NamedTuple
 
 LOCAL = "127.0.0.1"
-# where nothing else is said; 39539 is VMC's own
-PORTS = {"vmc": 39539, "udp": 39550, "ws": 39551}
+# kinds of senders that are heard, and their ports where nothing else is said; ours are udp and ws
+PORTS = {"vmc": 39539, "udp": 39550, "ws": 39551, "ifacialmocap": 49983, "livelinkface": 11111, "openseeface": 11573}
+# those that send faces alone: beside them a motion moves the body
+FACE_SENDERS = ("ifacialmocap", "livelinkface", "openseeface")
 
 
 class Address(NamedTuple):
-    kind: str  # vmc, udp or ws
+    kind: str  # of PORTS
     host: str
     port: int  # 0: any free one
 
@@ -37,7 +39,7 @@ def parse_address(text: str, kinds: tuple[str, ...]) -> Address:
     kind, _, rest = text.partition(":")
     host, _, port = rest.rpartition(":")
     if kind not in kinds:
-        raise ValueError(f"expected {' or '.join(f'{k}:PORT' for k in kinds)}, found {text!r}")
+        raise ValueError(f"expected one of {', '.join(f'{k}:PORT' for k in kinds)}, found {text!r}")
     if not rest:
         return Address(kind, LOCAL, PORTS[kind])
     if not (port.isascii() and port.isdigit() and int(port) <= 65535):

@@ -81,11 +81,11 @@ STUDIO = Background()
 def resolve(
     avatars: Sequence[Avatar], canvas: Canvas, effects: Effects,
     background: Background = Background("transparent"),  # noqa: B008  frozen
-    detail: Sequence[int] = (), kept: Kept | None = None,
+    detail: Sequence[int] = (), kept: Kept | None = None, faces: frozenset[int] = frozenset(),
 ) -> Plan:  # fmt: skip
     """The plan for drawing `avatars` with these effects, asked from the last in a frame to the first; each at its
-    level of detail, the finest where none are named. Makes no GL object; opens the background's file, unless `kept` (of
-    an earlier plan) holds it.
+    level of detail, the finest where none are named; `faces` are those whose face has moved. Makes no GL object; opens
+    the background's file, unless `kept` (of an earlier plan) holds it.
 
     Raises:
         ValueError: a view mode that an avatar does not hold.
@@ -99,7 +99,7 @@ def resolve(
     wanted.sort(key=lambda one: one[0])
     draft = Draft(
         avatars, canvas, detail=levels, dual=effects.skinning == "dual_quaternion",
-        effects=[one for _, one in wanted if not isinstance(one, Absent)], kept=kept,
+        effects=[one for _, one in wanted if not isinstance(one, Absent)], kept=kept, faces=faces,
     )  # fmt: skip
     stages: list[tuple[Stage, Sequence[Pass]]] = []
     try:

@@ -7,7 +7,9 @@ from jaxtyping import Float, UInt8
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
+from avatar.face import FaceFrame
 from avatar.motion.clip import Clip
+from player.draw.drawing import Pose
 from player.gl.context import open_context
 from player.scene.effects import STUDIO, USUAL, Background, Effects
 from player.scene.framing import extent, facing, fitted_camera
@@ -44,20 +46,23 @@ class OffscreenRenderer:
             raise
 
     def draw(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera | None = None
-    ) -> UInt8[np.ndarray, "height width 3"]:
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera | None = None,
+        face: FaceFrame | None = None,
+    ) -> UInt8[np.ndarray, "height width 3"]:  # fmt: skip
         """The picture of one pose, sRGB, row 0 on top.
 
         axis_angle: SMPL+H, radians; root: the pelvis joint in the world, metres. camera: for this picture only.
+        face: what the avatar's face does, where its file has one; None: it rests.
 
         Raises:
             ValueError: a pose of another shape, or with a number that is not finite.
         """
-        return self.draw_rgba(axis_angle, root, camera)[..., :3].copy()
+        return self.draw_rgba(axis_angle, root, camera, face)[..., :3].copy()
 
     def draw_rgba(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera | None = None
-    ) -> UInt8[np.ndarray, "height width 4"]:
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera | None = None,
+        face: FaceFrame | None = None,
+    ) -> UInt8[np.ndarray, "height width 4"]:  # fmt: skip
         """As `draw`, with premultiplied alpha: for a transparent background."""
         axis_angle, root = np.asarray(axis_angle, np.float64), np.asarray(root, np.float64)
         if axis_angle.shape != (52, 3) or root.shape != (3,):
@@ -66,7 +71,7 @@ class OffscreenRenderer:
             if self.camera is None:
                 self.camera = self.front_camera(axis_angle, root)
             camera = self.camera
-        return self._renderer.draw([(axis_angle, root)], camera)
+        return self._renderer.draw([Pose(axis_angle, root, face)], camera)
 
     def front_camera(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Camera:
         """The camera in front of the avatar in this pose, as near as it may be."""

@@ -8,6 +8,7 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, read_camera, read_cameras
 from avatar.gltf.avatar_file import read_avatar
+from player.scene.acting import faceless, opened_acting
 from player.scene.camera_path import CameraPath, is_path
 from player.scene.capture_view import CaptureView, open_capture
 from player.scene.framing import pelvis_height
@@ -49,12 +50,13 @@ def opened_track(
     ground = ground_for(entry.ground, scene.cameras if cameras is None else cameras)
     track = _track(entry, avatar, ground, capture if index == 0 else None)
     track.joints, track.foot_lock = avatar.joint_positions, scene.effects.foot_lock
+    track.acting = opened_acting(entry, avatar)
     return track
 
 
 def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView | None) -> Track:
     at, turn = np.array(entry.at, np.float64), float(np.radians(entry.turn_deg))
-    if entry.live is not None:
+    if entry.live is not None and entry.motion is None:
         return Track(standing(pelvis_height(avatar)), at=at, turn=turn, name=entry.live)
     if entry.motion is None and capture is not None:
         return Track(capture.poses, at=at, turn=turn, name=f"the {capture.part} video")
@@ -64,15 +66,16 @@ def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView
 
 def notes_of(tracks: Sequence[Track]) -> list[str]:
     """What was assumed about the motions: what holds for all of them once, the rest by avatar."""
+    silent = faceless([track.name for track in tracks], [track.acting for track in tracks])
     if len({track.motion.notes for track in tracks}) == 1:
-        return list(tracks[0].motion.notes)
+        return [*tracks[0].motion.notes, *silent]
     shared = set.intersection(*(set(track.motion.notes) for track in tracks))
     return [
         note if note in shared else f"avatar {k} ({track.name}), {note}"
         for k, track in enumerate(tracks, 1)
         for note in track.motion.notes
         if note not in shared or k == 1
-    ]
+    ] + silent
 
 
 def opened_camera(camera: SceneCamera) -> CameraPath | Sequence[Camera]:

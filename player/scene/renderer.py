@@ -12,7 +12,8 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from command.errors import AssetError
 from files.input_file import JsonObject
-from player.draw.drawing import Drawing, FrameInputs, Look, Pose, Warming
+from player.draw.drawing import Drawing, FrameInputs, GivenPose, Look, Pose, Warming
+from player.draw.face import moves_face
 from player.draw.plan import Canvas, Decision, Kept, Pass, Plan, close_all
 from player.draw.posing import PosedBones, Poser, screen_bounds
 from player.draw.raster import clip_planes
@@ -62,6 +63,8 @@ class Renderer:
         self.drawn: list[PassOutcome] = []
         self.last: FrameInputs | None = None
         self.posers: list[Poser] = []
+        # avatars whose face has moved: a face costs nothing before
+        self.faces: frozenset[int] = frozenset()
         self.plan = self._resolved({})
         self._apply(self.plan)
         self._measure()
@@ -115,7 +118,7 @@ class Renderer:
         if size != self.size:
             self.change(size=size)
 
-    def move(self, poses: Sequence[Pose], seconds: float) -> None:
+    def move(self, poses: Sequence[GivenPose], seconds: float) -> None:
         """Let loose parts go on to these poses at a moment, where the scene asks for secondary motion: what is drawn
         from then on has them there. The first moment, one before the last and one long after it set them where they
         are skinned to.
@@ -127,10 +130,10 @@ class Renderer:
             return
         if len(poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(poses)}")
-        if not all(np.isfinite(part).all() for pose in poses for part in pose):
+        if not all(np.isfinite(part).all() for pose in poses for part in pose[:2]):
             raise ValueError("the pose holds a number that is not finite")
         for item in self.plan.passes:
-            item.move(poses, seconds)
+            item.move(_poses(poses), seconds)
 
     @property
     def moves(self) -> bool:
@@ -138,7 +141,7 @@ class Renderer:
         return bool(self.plan.moved)
 
     def draw(
-        self, poses: Sequence[Pose], camera: Camera, out: UInt8[np.ndarray, "height width 4"] | None = None, *,
+        self, poses: Sequence[GivenPose], camera: Camera, out: UInt8[np.ndarray, "height width 4"] | None = None, *,
         seconds: float = 0.0,
     ) -> UInt8[np.ndarray, "height width 4"]:  # fmt: skip
         """The image, row 0 on top, premultiplied alpha, sRGB. One pose per avatar; the camera is fitted to size.
@@ -152,8 +155,8 @@ class Renderer:
         return self.expose([(poses, camera)], out, seconds=seconds)
 
     def expose(
-        self, views: Sequence[tuple[Sequence[Pose], Camera]], out: UInt8[np.ndarray, "height width 4"] | None = None, *,
-        seconds: float = 0.0,
+        self, views: Sequence[tuple[Sequence[GivenPose], Camera]],
+        out: UInt8[np.ndarray, "height width 4"] | None = None, *, seconds: float = 0.0,
     ) -> UInt8[np.ndarray, "height width 4"]:  # fmt: skip
         """The mean of several frames, as a shutter and a lens make it (player/film/exposure.py); of one, the frame.
 
@@ -170,7 +173,7 @@ class Renderer:
         for poses, camera in views:
             if camera.size != (width, height):
                 camera = camera.resized((width, height))
-            self._frame(FrameInputs(target, tuple(poses), camera, True, seconds, len(views)))
+            self._frame(FrameInputs(target, _poses(poses), camera, True, seconds, len(views)))
             target.read_into(image, components=4)
             if total is not None:
                 total += image
@@ -179,8 +182,9 @@ class Renderer:
         return image
 
     def draw_into(
-        self, framebuffer: moderngl.Framebuffer, poses: Sequence[Pose], camera: Camera, *, seconds: float = 0.0
-    ) -> None:
+        self, framebuffer: moderngl.Framebuffer, poses: Sequence[GivenPose], camera: Camera, *,
+        seconds: float = 0.0,
+    ) -> None:  # fmt: skip
         """The same into another framebuffer, whose rows count from the bottom; nothing is read back. The renderer's
         own image keeps its top row first, as `draw` has it.
 
@@ -194,7 +198,7 @@ class Renderer:
             self.resize(camera.size)
         elif self.size != camera.size and (self.plan.background is not None or self.plan.filters):
             raise ValueError(f"made for {self.size} pixels, drawn into {camera.size}: call resize")
-        self._frame(FrameInputs(framebuffer, tuple(poses), camera, framebuffer is self.target, seconds))
+        self._frame(FrameInputs(framebuffer, _poses(poses), camera, framebuffer is self.target, seconds))
 
     def explain(self, repeats: int = 5) -> list[JsonObject]:
         """Every pass: whether it ran in the last frame, why, what it costs in ms (median), its bytes.
@@ -233,10 +237,13 @@ class Renderer:
         camera = inputs.camera
         if len(inputs.poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(inputs.poses)}")
-        reaches = [max(item.reach(number) for item in self.plan.passes) for number in range(len(self.avatars))]
-        bones = [poser.posed(*pose, camera) for poser, pose in zip(self.posers, inputs.poses, strict=True)]
+        bones = [poser.posed(*pose[:2], camera) for poser, pose in zip(self.posers, inputs.poses, strict=True)]
+        reaches = [max(item.reach(k, pose) for item in self.plan.passes) for k, pose in enumerate(inputs.poses)]
         bounds = [screen_bounds(self._bulging(one, far), camera) for one, far in zip(bones, reaches, strict=True)]
         visible = [one.shows(camera) for one in bounds]
+        if self._plan_faces(inputs, bones, visible):
+            self._frame(inputs, only=only)
+            return
         planes = clip_planes(np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).ravel())
         look = self.look._replace(view_amount=self.view_amount)
         drawing = Drawing(inputs, self.resources, look, bones, bounds, visible, planes, reaches)
@@ -252,6 +259,18 @@ class Renderer:
             if item is only or (only is None and decision.runs):
                 item.draw(drawing)
         self.drawn, self.last = drawn, inputs
+
+    def _plan_faces(self, inputs: FrameInputs, bones: Sequence[PosedBones], visible: Sequence[bool]) -> bool:
+        """Bring faces that move for the first time into the plan; whether there are any."""
+        moved = {
+            number for number, (avatar, pose) in enumerate(zip(self.avatars, inputs.poses, strict=True))
+            if number not in self.faces and avatar.eyes is not None and visible[number]
+            and moves_face(pose, bones[number], inputs.camera)
+        }  # fmt: skip
+        if moved:
+            self.faces |= moved
+            self._apply(self._resolved(self.plan.kept))
+        return bool(moved)
 
     def _bulging(self, bones: PosedBones, reach: float) -> PosedBones:
         """The bones with spheres that hold what they move, in the skinning asked for; reach: of loose parts, metres."""
@@ -275,7 +294,7 @@ class Renderer:
         if self.size is not None and self.size[0] * self.size[1] > MAX_PIXELS:
             raise ValueError(f"size: expected at most {MAX_PIXELS} pixels, found {self.size[0]} x {self.size[1]}")
         canvas = Canvas(self.size, self.own_image, self.context.software, self.context.gl.max_samples)
-        return resolve(self.avatars, canvas, self.effects, self.background, self.detail, kept)
+        return resolve(self.avatars, canvas, self.effects, self.background, self.detail, kept, self.faces)
 
     def _apply(self, plan: Plan) -> None:
         """Make what the plan adds, free what it lacks, and draw once with what is new."""
@@ -294,6 +313,10 @@ class Renderer:
         """Bounds of each avatar's surface at its level of detail."""
         made = {id(avatar): Poser(avatar, avatar.level(self.level)) for avatar in self.avatars}
         self.posers = [made[id(avatar)] for avatar in self.avatars]
+
+
+def _poses(given: Sequence[GivenPose]) -> tuple[Pose, ...]:
+    return tuple(pose if isinstance(pose, Pose) else Pose(*pose) for pose in given)
 
 
 def _as_background(background: Background | Sequence[float | int]) -> Background:

@@ -12,7 +12,7 @@ from avatar.motion.hands import HANDS
 from avatar.motion.read import BUILTIN_MOTIONS
 from command.settings import AtLeast, AtMost, FilePlace, OneOf, Rows, settings
 from player.effects.background import Background
-from player.scene.address import PORTS, parse_address
+from player.scene.address import FACE_SENDERS, PORTS, parse_address
 from player.scene.effects import STUDIO, USUAL, Effects
 
 # where the ground of a motion is: avatar/motion/ground.py
@@ -37,7 +37,9 @@ class SceneAvatar:
         "avatar file (.glb); builtin: a person that travels with the program; mannequin, mannequin:female: a body"]
     motion: Annotated[str | None, FilePlace(BUILTIN_MOTIONS),
         "pose file, folder of frames, counting or walking; none: T-pose"] = None
-    live: Annotated[str | None, "vmc:PORT, udp:PORT or ws:PORT, instead of a motion (play only)"] = None
+    live: Annotated[str | None,
+        "vmc:PORT, udp:PORT or ws:PORT, instead of a motion (play only); a face alone, also beside one: "
+        "ifacialmocap:PORT, livelinkface:PORT, openseeface:PORT"] = None
     at: Annotated[tuple[float, float, float], "metres, added to where the motion puts it"] = (0.0, 0.0, 0.0)
     turn_deg: Annotated[float, "about the vertical through the world's origin, before `at`"] = 0.0
     hands: Annotated[str, OneOf(HANDS), "the motion's hands; mean needs `body`"] = "file"
@@ -46,14 +48,18 @@ class SceneAvatar:
         "cameras that were measured (file, capture), else find"] = "auto"
     body: Annotated[str | None, FilePlace(), "SMPL+H model (.npz, .pkl) that the pose file was made for"] = None
     start: Annotated[float, AtLeast(0), AtMost(1e9), "seconds into the motion at which the scene begins"] = 0.0
+    life: Annotated[int | None, AtLeast(0),
+        "it blinks, looks at the camera and breathes where nothing else moves its face; a number picks when"] = None
+    speech: Annotated[str | None, FilePlace(), "a voice (.wav) that moves its mouth; the film stays silent"] = None
 
     def __post_init__(self):
+        kind = None
         if self.live is not None:
             try:
-                parse_address(self.live, tuple(PORTS))
+                kind = parse_address(self.live, tuple(PORTS)).kind
             except ValueError as error:
                 raise ValueError(f"live: {error}") from None
-        if self.motion is not None and self.live is not None:
+        if self.motion is not None and kind is not None and kind not in FACE_SENDERS:
             raise ValueError("motion and live: expected one of them, found both")
 
 
@@ -70,8 +76,11 @@ def side_by_side(
     places = places or [(left + SPACING * k, 0.0, 0.0, 0.0) for k in range(len(paths))]
     motions = motions if len(motions) > 1 else [motions[0]] * len(paths)
     return tuple(
-        replace(like, path=path, motion=motion, at=(x, y, z), turn_deg=turn)
-        for path, motion, (x, y, z, turn) in zip(paths, motions, places, strict=True)
+        replace(
+            like, path=path, motion=motion, at=(x, y, z), turn_deg=turn,
+            life=None if like.life is None else like.life + k,
+        )
+        for k, (path, motion, (x, y, z, turn)) in enumerate(zip(paths, motions, places, strict=True))
     )
 
 

@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar import rotation
+from avatar.face import face_between
 from avatar.motion.clip import Clip, Motion
 from player.draw.drawing import FASTEST, TURNED, Pose
 from player.effects.foot_lock import FootLock
+from player.scene.acting import LEAD, Acting, Look
 from player.scene.motions import BLOCK
 
 
@@ -29,6 +31,8 @@ class Track:
     joints: Float[np.ndarray, "52 3"] | None = None
     # whether they are
     foot_lock: FootLock | None = None
+    # its face beside its motion's, where that is asked for
+    acting: Acting | None = None
     _held: tuple[FootLock, Callable[[int, int, Clip], Pose]] | None = field(default=None, repr=False)
     _blocks: list[tuple[int, Clip]] = field(default_factory=list, repr=False)
 
@@ -41,9 +45,28 @@ class Track:
         """The motion's own frame at a moment of the timeline; past its end the last is held."""
         return min(max(int((seconds + self.start) * self.motion.rate + 1e-6), 0), self.motion.frames - 1)
 
-    def pose(self, seconds: float | int) -> Pose:
-        """The pose at a moment, in its place."""
-        return self.placed(self._own(self.frame(seconds)))
+    def lasts(self, alone: float | int = 0.0) -> float:
+        """Seconds into the timeline at which motion and speech have ended, of a still body `alone` seconds of life."""
+        if self.acting is None:
+            return self.end
+        return max(self.end, self.acting.lasts(alone if self.motion.frames == 1 else 0.0))
+
+    def pose(self, seconds: float | int, lived: float | int | None = None) -> Pose:
+        """The pose at a moment, in its place; `lived` is the moment of life where that is another."""
+        return self.placed(self._swaying(self._own(self.frame(seconds)), seconds if lived is None else lived))
+
+    def faced(
+        self, pose: Pose, seconds: float | int, eye: Float[np.ndarray, "3"], lived: float | int | None = None
+    ) -> Pose:
+        """A pose of it at a moment of the timeline with what the face does then, before a camera at `eye`, world."""
+        if self.acting is None:
+            return pose
+        ahead = self.pose(seconds + LEAD, lived) if self.motion.frames > 1 else None
+        return self.acting.faced(pose, seconds, Look(eye, ahead), lived)
+
+    def _swaying(self, pose: Pose, seconds: float | int) -> Pose:
+        """A body that no motion moves, breathing where that is asked for."""
+        return pose if self.acting is None or self.motion.frames > 1 else self.acting.swaying(pose, seconds)
 
     def pose_beside(self, seconds: float, away: float) -> Pose:
         """The pose `away` seconds from a moment, between two frames of the motion; where it jumps between them (faster
@@ -58,14 +81,15 @@ class Track:
         part = at - here
         low = here if part > 0 else here - 1
         if part == 0 or abs(part) >= 1 or self._jumps(low):
-            return self.placed(self._own(here))
+            return self.placed(self._swaying(self._own(here), seconds + away))
         part = at - low
-        (before, root_before), (after, root_after) = self._own(low), self._own(low + 1)
-        return self.placed((rotation.between(before, after, part), root_before + part * (root_after - root_before)))
+        (before, root_before, face), (after, root_after, face_after) = self._own(low), self._own(low + 1)
+        root = root_before + part * (root_after - root_before)
+        return self.placed(Pose(rotation.between(before, after, part), root, face_between(face, face_after, part)))
 
     def _jumps(self, frame: int) -> bool:
         """Whether the motion jumps between this frame and the next."""
-        (before, root_before), (after, root_after) = self._own(frame), self._own(frame + 1)
+        (before, root_before, _), (after, root_after, _) = self._own(frame), self._own(frame + 1)
         if np.linalg.norm(root_after - root_before) * self.motion.rate > FASTEST:
             return True
         q_before, q_after = (rotation.quaternion_from_axis_angle(one[0]) for one in (before, after))
@@ -81,7 +105,10 @@ class Track:
             self._blocks = [*self._blocks[-1:], (first, block)]
         i = frame - first
         held = self._held_feet()
-        return (block.axis_angle[i], block.root[i]) if held is None else held(frame, first, block)
+        face = block.face_at(i)
+        if held is not None:
+            return held(frame, first, block)._replace(face=face)
+        return Pose(block.axis_angle[i], block.root[i], face)
 
     def _held_feet(self) -> Callable[[int, int, Clip], Pose] | None:
         """What holds the feet, where that is asked for and there is something to hold."""
@@ -96,10 +123,10 @@ class Track:
 
     def placed(self, pose: Pose) -> Pose:
         """A pose turned about the world's y axis, then moved."""
-        axis_angle, root = pose
+        axis_angle, root, face = pose
         if self.turn:
             turned = rotation.matrix_from_axis_angle(np.array([0.0, self.turn, 0.0]))
             axis_angle = axis_angle.copy()
             axis_angle[0] = rotation.axis_angle_from_matrix(turned @ rotation.matrix_from_axis_angle(axis_angle[0]))
             root = turned @ root
-        return axis_angle, root + self.at
+        return Pose(axis_angle, root + self.at, face)

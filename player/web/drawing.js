@@ -91,7 +91,8 @@ class Drawing {
       unpackedColor(pageBytes(`${name}.color`)),
       facts.features ? unpackedFeatures(facts.features, pageBytes(`${name}.features`)) : null,
     ]);
-    this.content.set(level, { mesh, color, features });
+    const face = await unpackedFace(facts.face, mesh, `${name}.face`);
+    this.content.set(level, { mesh, color, features, face });
     return this.content.get(level);
   }
 
@@ -120,9 +121,8 @@ class Drawing {
         if (index !== gl.INVALID_INDEX) gl.uniformBlockBinding(program, index, unit);
       }
       gl.useProgram(program);
-      ["base_color", "features"].forEach((name, unit) => {
+      for (const [name, unit] of [["base_color", 0], ["features", 1], ["face_offsets", FACE_UNIT]])
         gl.uniform1i(gl.getUniformLocation(program, name), unit);
-      });
       return program;
     });
   }
@@ -158,6 +158,8 @@ class Drawing {
         point(attribute, name, (place) => gl.vertexAttribPointer(place, count, gl.FLOAT, false, step, first));
       point("joints", "joints", (place) => gl.vertexAttribIPointer(place, 4, gl.UNSIGNED_BYTE, 0, 0));
       point("weights", "weights", (place) => gl.vertexAttribPointer(place, 4, gl.UNSIGNED_BYTE, true, 0, 0));
+      if (mesh.face_slot)
+        point("face_slot", "face_slot", (place) => gl.vertexAttribIPointer(place, 1, gl.UNSIGNED_INT, 0, 0));
       const faces = buffer("faces");
       gl.bindVertexArray(array);
       gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, faces);
@@ -201,6 +203,25 @@ class Drawing {
     if (!this.software && this.anisotropy)
       gl.texParameterf(gl.TEXTURE_2D, this.anisotropy.TEXTURE_MAX_ANISOTROPY_EXT, 8);
     return { texture, size };
+  }
+
+  // The face of a level in a pose, one of 56 numbers; a level without one stays still.
+  face(level, pose, program) {
+    if (!pose.face) return;
+    const gl = this.gl, { face } = this.content.get(level), rows = face ? face.facts.rows : 1;
+    const kept = this.kept(`face ${level}`, () => ({ texture: gl.createTexture(), shown: "" }));
+    gl.activeTexture(gl.TEXTURE0 + FACE_UNIT);
+    gl.bindTexture(gl.TEXTURE_2D, kept.texture);
+    const wanted = face ? pose.face.join() : "still";
+    if (kept.shown !== wanted) {
+      kept.shown = wanted;
+      const texels = face ? face.texels({ weights: pose.face.subarray(0, 52), gaze: pose.face.subarray(52) })
+        : new Float32Array(4 * FACE_WIDTH);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, FACE_WIDTH, rows, 0, gl.RGBA, gl.FLOAT, texels);
+      for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
+        gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
+    }
+    if (!face) gl.vertexAttribI4ui(gl.getAttribLocation(program, "face_slot"), 0, 0, 0, 0);
   }
 
   // An image with depth, of several samples a pixel or one.
@@ -255,6 +276,7 @@ class Drawing {
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.CULL_FACE);
     this.textures(level, halvings);
+    this.face(level, pose, program);
     gl.useProgram(program);
     gl.bindVertexArray(array);
     gl.drawElements(gl.TRIANGLES, 3 * this.avatar.levels[level].triangles, gl.UNSIGNED_INT, 0);

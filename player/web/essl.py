@@ -61,13 +61,15 @@ def program(defines: Mapping[str, int], generated: Mapping[str, str]) -> dict[st
     return {"vertex": vertex, "fragment": fragment}
 
 
-def programs(avatar: Avatar) -> dict[str, dict[str, str]]:
-    """A program for each view mode that the avatar's file holds, by its name (player/effects/avatar.py)."""
+def programs(avatar: Avatar, *, faced: bool = False) -> dict[str, dict[str, str]]:
+    """A program for each view mode that the avatar's file holds, by its name (player/effects/avatar.py); `faced`: one
+    that moves its face."""
     constants = avatar_constants(avatar)
-    found = {"off": program({"VIEW_STAGE": 0}, {})}
+    more = {"FACE": 1} if faced else {}
+    found = {"off": program({"VIEW_STAGE": 0, **more}, {})}
     if avatar.levels[0].features is None:
         return found
     for view in reversed(views_of(avatar)[:-1]):
         network = view == "network" or (view == "vertex" and avatar.network is not None)
-        found[view] = program({"VIEW_STAGE": STAGE[view], "VIEW_MODEL": int(network)}, constants)
+        found[view] = program({"VIEW_STAGE": STAGE[view], "VIEW_MODEL": int(network), **more}, constants)
     return found

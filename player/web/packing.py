@@ -16,16 +16,19 @@ bytes, each the difference to Paeth's guess from its neighbours (as in PNG).
 import io
 import zlib
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8, UInt32
 from PIL import Image
 
-from avatar.baked_avatar import Avatar
+from avatar.baked_avatar import Avatar, Level
+from avatar.face import Eye
 from avatar.motion.clip import Clip
 from avatar.rotation import quaternion_from_axis_angle
 from avatar.skeleton import PARENTS, joint_transforms, rigid_inverse
 from files.input_file import JsonObject
+from player.draw.face import ASIDE, DOWN, UP, FaceBlend
 from player.draw.mesh import draw_order, interleaved
 from player.draw.posing import Poser
 
@@ -47,11 +50,11 @@ class Packed:
         return sum(map(len, self.blobs.values()))
 
 
-def packed_avatar(avatar: Avatar) -> Packed:
-    """Skeleton and all levels of detail."""
+def packed_avatar(avatar: Avatar, *, faced: bool = False) -> Packed:
+    """Skeleton and all levels of detail; `faced`: with what its face needs to move."""
     joints = avatar.joint_positions.astype(np.float64)
     inverse = rigid_inverse(joint_transforms(avatar.canonical_pose.astype(np.float64), joints))
-    levels = [packed_level(avatar, number) for number in range(len(avatar.levels))]
+    levels = [packed_level(avatar, number, faced=faced) for number in range(len(avatar.levels))]
     facts = {
         "name": avatar.name,
         "parents": PARENTS.tolist(),
@@ -63,7 +66,7 @@ def packed_avatar(avatar: Avatar) -> Packed:
     return Packed(facts, {name: blob for level in levels for name, blob in level.blobs.items()})
 
 
-def packed_level(avatar: Avatar, number: int) -> Packed:
+def packed_level(avatar: Avatar, number: int, *, faced: bool = False) -> Packed:
     """Mesh and textures of one level of detail."""
     # pages pose the 52 joints alone
     level = replace(avatar.levels[number], twist=None)
@@ -80,6 +83,10 @@ def packed_level(avatar: Avatar, number: int) -> Packed:
         _bytes("weights", skin["weights"]),
         ("faces", {"kind": "indices", "count": faces.size}, _differences(faces.reshape(-1, 1).astype(np.int64), 4)),
     ]
+    face = packed_face(level, avatar.eyes) if faced and level.face is not None and avatar.eyes else None
+    if face is not None:
+        slots = face.slots[order].astype(np.int64)[:, None]
+        arrays.insert(-1, ("face_slot", {"kind": "indices", "count": len(slots)}, _differences(slots, 4)))
     blobs = {f"{named}.mesh": zlib.compress(b"".join(data for _, _, data in arrays), 9)}
     blobs[f"{named}.color"] = lossless_webp(level.base_color)
     facts: JsonObject = {
@@ -90,6 +97,8 @@ def packed_level(avatar: Avatar, number: int) -> Packed:
         "color": {"size": list(level.base_color.shape[1::-1])},
         "features": None,
     }
+    if face is not None:
+        facts["face"], blobs[f"{named}.face"] = face.facts, face.shapes
     if level.features is not None:
         blobs[f"{named}.features"] = zlib.compress(paeth(level.features), 9)
         height, width, _ = level.features.shape
@@ -97,15 +106,45 @@ def packed_level(avatar: Avatar, number: int) -> Packed:
     return Packed(facts, blobs)
 
 
+class PackedFace(NamedTuple):
+    """What moves the face of one level: what face.js must know, the offsets of its shapes, the slot of each vertex."""
+
+    facts: JsonObject
+    shapes: bytes
+    slots: UInt32[np.ndarray, "vertices"]
+
+
+def packed_face(level: Level, eyes: tuple[Eye, Eye]) -> PackedFace:
+    blend, face = FaceBlend(level, eyes), level.face
+    assert face is not None, "asked of levels with a face"
+    _, how, data = _range("shapes", face.offsets.transpose(1, 0, 2).reshape(len(face.vertices), -1), COARSE)
+    facts: JsonObject = {
+        "moving": len(face.vertices),
+        "rows": blend.rows,
+        "shapes": how,
+        "balls": [[slots.start, slots.stop - slots.start] for slots, _, _ in blend.balls],
+        "lids": [(1 + lids).tolist() for lids, _, _ in blend.lids],
+        "eyes": [{"center": eye.center.tolist(), "radius": eye.radius} for eye in eyes],
+        "aside": [-ASIDE, ASIDE],
+        "upwards": [-DOWN, UP],
+    }
+    return PackedFace(facts, zlib.compress(data, 9), blend.slots)
+
+
 def packed_motion(clip: Clip) -> Packed:
-    """Rotations of the joints as unit quaternions xyzw, and the pelvis' place: by component, then by frame."""
+    """Rotations of the joints as unit quaternions xyzw, the pelvis' place, and what the face does where the clip says
+    so: by component, then by frame."""
     q = quaternion_from_axis_angle(clip.axis_angle.astype(np.float64))
     # neighbours in time on the same half of the sphere: small differences, and what lies between them is between
     flips = np.where(np.einsum("fji,fji->fj", q[1:], q[:-1]) < 0, -1.0, 1.0)
     q[1:] *= np.cumprod(flips, axis=0)[:, :, None]
     turns, places = _range("turns", q.reshape(len(q), 208), FINE), _range("root", clip.root, FINE)
-    facts = {"frames": len(q), "rate": float(clip.rate), "turns": turns[1], "root": places[1]}
-    return Packed(facts, {"motion": zlib.compress(turns[2] + places[2], 9)})
+    facts: JsonObject = {"frames": len(q), "rate": float(clip.rate), "turns": turns[1], "root": places[1]}
+    data = turns[2] + places[2]
+    if clip.face is not None and clip.gaze is not None:
+        _, facts["face"], rows = _range("face", np.concatenate([clip.face, clip.gaze.reshape(-1, 4)], axis=1), COARSE)
+        data += rows
+    return Packed(facts, {"motion": zlib.compress(data, 9)})
 
 
 def lossless_webp(image: UInt8[np.ndarray, "height width 3"]) -> bytes:

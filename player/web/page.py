@@ -5,6 +5,7 @@ import html
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
@@ -22,7 +23,7 @@ POLICY = (
     "base-uri 'none'; form-action 'none'"
 )
 # in this order, one script
-DRAWING = ("page.js", "unpack.js", "posing.js", "drawing.js", "orbit.js")
+DRAWING = ("page.js", "unpack.js", "posing.js", "face.js", "drawing.js", "orbit.js")
 # a page for everyone's mail and phone
 MOST_BYTES = 12_000_000
 
@@ -69,13 +70,14 @@ def first_camera(avatar: Avatar, clip: Clip) -> JsonObject:
 
 def packed_player(avatar: Avatar, clip: Clip) -> Packed:
     """An avatar in motion: what a page must know to draw it, and its bytes."""
-    packed, motion = packed_avatar(avatar), packed_motion(clip)
+    faced = avatar.eyes is not None and clip.face is not None
+    packed, motion = packed_avatar(avatar, faced=faced), packed_motion(clip if faced else replace(clip, face=None))
     facts = {
         "avatar": packed.facts,
         "motion": motion.facts,
         "view": avatar.default_view,
         "camera": first_camera(avatar, clip),
-        "programs": programs(avatar),
+        "programs": programs(avatar, faced=faced),
     }
     return Packed(facts, {**packed.blobs, **motion.blobs})
 

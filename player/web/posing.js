@@ -36,7 +36,8 @@ function poseAt(motion, frame) {
   const t = i + 1 < motion.frames ? limited(frame - i, 0, 1) : 0, s = t < 1e-6 ? 0 : t;
   const mixed = (values, size) => Float64Array.from({ length: size }, (_, k) =>
     (1 - s) * values[size * i + k] + (s ? s * values[size * (i + 1) + k] : 0));
-  return { q: mixed(motion.q, 208), place: mixed(motion.places, 3) };
+  const face = motion.faces && mixed(motion.faces, 56);
+  return { q: mixed(motion.q, 208), place: mixed(motion.places, 3), face };
 }
 
 // Bones as the shaders take them: rows of view_from_canonical, its quaternions; joints in view space.

@@ -83,10 +83,17 @@ function unpackedColor(bytes) {
     { premultiplyAlpha: "none", colorSpaceConversion: "none", imageOrientation: "none" });
 }
 
-// Quaternions (208 numbers a frame) and places (3) of a motion.
-async function unpackedMotion({ frames, rate, turns, root }) {
+// What moves a level's face; null: nothing does.
+async function unpackedFace(facts, mesh, name) {
+  if (!facts) return null;
+  return new Face(facts, mesh, unpackedArray(await inflated(pageBytes(name)), 0, facts.shapes, facts.moving)[0]);
+}
+
+// Quaternions (208 numbers a frame) and places (3) of a motion, and where its face moves its weights and gaze (52 and 4).
+async function unpackedMotion({ frames, rate, turns, root, face }) {
   const data = await inflated(pageBytes("motion"));
   const [q, next] = unpackedArray(data, 0, turns, frames, Float64Array);
-  const [places] = unpackedArray(data, next, root, frames, Float64Array);
-  return { frames, rate, q, places };
+  const [places, last] = unpackedArray(data, next, root, frames, Float64Array);
+  const faces = face ? unpackedArray(data, last, face, frames, Float64Array)[0] : null;
+  return { frames, rate, q, places, faces };
 }

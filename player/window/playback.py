@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
+from player.live.face_sender import with_head
 from player.live.playback import LivePlayback
 from player.scene.renderer import Pose
 from player.scene.track import Track
@@ -19,10 +21,12 @@ class Playback:
     ):  # fmt: skip
         self.tracks, self.live, self._rate = list(tracks), list(live), rate
         self.timeline = self._timeline()
+        # seconds that have passed for life, which does not begin anew with the timeline
+        self.lived = 0.0
 
     def _timeline(self) -> Timeline:
         rate = self._rate or self.tracks[0].motion.rate
-        frames = max(int(np.ceil(track.end * rate - 1e-6)) for track in self.tracks)
+        frames = max(int(np.ceil(track.lasts() * rate - 1e-6)) for track in self.tracks)
         return Timeline(max(frames, 1), rate)
 
     def change(self, index: int, track: Track) -> None:
@@ -35,6 +39,7 @@ class Playback:
     def advance(self, dt: float | int) -> None:
         """Let time pass."""
         self.timeline.advance(dt)
+        self.lived += max(dt, 0.0) if self.timeline.playing else 0.0
         for live, _ in self.live:
             live.advance(dt)
 
@@ -44,11 +49,25 @@ class Playback:
         for live, indices in self.live:
             live.playing = self.timeline.playing
             for index, pose in zip(indices, live.poses(), strict=True):
-                poses[index] = self.tracks[index].placed(pose)
+                track = self.tracks[index]
+                poses[index] = track.placed(pose) if live.moves_body else with_head(self._moved(track), pose)
         return [
-            pose if pose is not None else track.pose(self.timeline.seconds)
-            for pose, track in zip(poses, self.tracks, strict=True)
+            pose if pose is not None else self._moved(track) for pose, track in zip(poses, self.tracks, strict=True)
         ]
+
+    def _moved(self, track: Track) -> Pose:
+        return track.pose(self.timeline.seconds, self.lived)
+
+    def faced(self, poses: Sequence[Pose], eye: Float[np.ndarray, "3"]) -> list[Pose]:
+        """The poses with what faces do now, before a camera at `eye`."""
+        now = self.timeline.seconds
+        return [track.faced(pose, now, eye, self.lived) for track, pose in zip(self.tracks, poses, strict=True)]
+
+    @property
+    def lives(self) -> bool:
+        """Whether a face moves even if nothing else does."""
+        acting = (track.acting for track in self.tracks)
+        return self.timeline.playing and any(one is not None and one.seed is not None for one in acting)
 
     def close(self) -> None:
         """Let go of the motions, whose files close with them."""

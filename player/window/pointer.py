@@ -134,7 +134,7 @@ def pick(
     best: Picked | None = None
     for number, (avatar, level, pose) in enumerate(zip(avatars, levels, poses, strict=True)):
         faces = level.faces.astype(np.int64)
-        a, b, c = posed_vertices(avatar, level, pose)[faces.T] - origin
+        a, b, c = posed_vertices(avatar, level, pose[:2])[faces.T] - origin
         # (1 - u - v) a + u b + v c = t direction; the volumes are those of Cramer's rule
         p = np.cross(direction, c - a)
         determinant = (p * (b - a)).sum(1)

@@ -10,11 +10,11 @@ from functools import partial
 import numpy as np
 
 from command.errors import AssetError
+from player.draw.drawing import Pose
 from player.draw.posing import grounded
 from player.pose.library import Library
 from player.pose.session import PoseSession
 from player.scene.framing import pelvis_height
-from player.scene.renderer import Pose
 from player.window.pose_tool import PoseTool
 from player.window.recorder import free_name
 from player.window.state import WindowState
@@ -44,7 +44,7 @@ class Posing:
         poses = self.state.playback.poses()
         if self.edit is not None:
             pose = self.edit.session.pose
-            poses[self.edit.index] = (pose.axis_angle, pose.root)
+            poses[self.edit.index] = Pose(pose.axis_angle, pose.root, pose.face)
         return poses
 
 
@@ -53,12 +53,13 @@ class PoseEdit:
 
     def __init__(self, state: WindowState, index: int):
         self.state, self.index, self.avatar = state, index, state.avatars[index]
-        axis_angle, root = state.playback.poses()[index]
+        axis_angle, root, face = state.playback.poses()[index]
         self.session = PoseSession(
             self.avatar.joint_positions.astype(np.float64),
             axis_angle=axis_angle,
             root=root,
             pelvis_height=pelvis_height(self.avatar),
+            face=face,
         )
         self.tool = PoseTool(state, self.session, index)
         self.library = Library()
@@ -106,10 +107,14 @@ class PoseEdit:
         self.session.load(self.file)
 
     def take(self, name: str) -> None:
-        """A pose of the library."""
+        """A pose of the library; one without a face leaves the face as it is."""
         session, ground = self.session, partial(grounded, self.avatar)
         pose = self.library.read(name, root=session.pose.root, pelvis_height=session.pelvis_height, ground=ground)
-        session.put(name, pose.axis_angle, pose.root, limited=False, hold=False)
+        step = object()
+        session.put(name, pose.axis_angle, pose.root, drag=step, limited=False, hold=False)
+        if pose.face is not None:
+            session.set_face(pose.weights, pose.gaze, drag=step)
+        session.history.end_drag()
 
     def keep(self, name: str) -> None:
         """The present pose into the library."""

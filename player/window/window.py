@@ -227,6 +227,7 @@ class Window:
         parts, size = self.parts, self.screen.size
         area, viewpoint, look = parts.state.layout.area, parts.viewpoint, parts.look
         camera = parts.state.last.camera = moved_into(viewpoint.camera(), area, size)
+        parts.state.last.poses = parts.state.playback.faced(parts.state.last.poses, camera.eye)
         began = self.clock()
         look.renderer.move(parts.state.last.poses, self._moved)
         look.renderer.draw_into(screen, parts.state.last.poses, camera, seconds=parts.state.timeline.seconds)
@@ -297,6 +298,7 @@ class Window:
         return (
             (line.playing and line.frames > 1)
             or bool(playback.live)
+            or playback.lives
             or parts.recorder.wants_picture
             or parts.prices.wanted
             or parts.viewpoint.cameras.kind == "turntable"

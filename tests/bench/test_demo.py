@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tiny_avatar import tiny_avatar
+from tiny_avatar import tiny_avatar, tiny_face
 
 from avatar.gltf.avatar_file import write_avatar
 from bench.bench_command import BENCH, BenchCommand
@@ -84,9 +84,10 @@ def test_the_film_is_a_scene_that_shows_the_view_mode_of_the_avatar(tmp_path, mo
 
 
 def test_every_effect_is_timed_alone_and_together_and_the_command_needs_one():
-    names = {case.name for case in effects.cases()}
+    names = {case.name for case in effects.cases(tiny_avatar())}
+    assert {case.name for case in effects.cases(tiny_face())} - names == {"a face at rest", "a face: 8 shapes and gaze"}
     assert {s.name.replace("_", " ") for s in settings_of(Effects) if s.table is not None} <= names
-    everything = effects.cases()[-1].effects
+    everything = effects.cases(tiny_avatar())[-1].effects
     assert all(getattr(everything, s.name) is not None for s in settings_of(Effects) if s.table is not None)
     assert parse(BenchCommand, ["--effects", "-o", "x"], BENCH).avatar is None
     with pytest.raises(ValueError, match="give AVATAR or --effects"):
@@ -96,8 +97,8 @@ def test_every_effect_is_timed_alone_and_together_and_the_command_needs_one():
 
 
 def test_the_table_has_what_ran_and_what_it_holds(tmp_path, monkeypatch):
-    chosen = [case for case in effects.cases() if case.name in ("ground", "motion blur")]
-    monkeypatch.setattr(effects, "cases", lambda: chosen)
+    chosen = [case for case in effects.cases(tiny_avatar()) if case.name in ("ground", "motion blur")]
+    monkeypatch.setattr(effects, "cases", lambda avatar: chosen)
     result = effects.bench_effects(tiny_avatar(), tmp_path / "out", rounds=1, size=(64, 64))
     written = json.loads((tmp_path / "out" / "effects.json").read_text())
     assert written["effects"] == result["effects"] and (tmp_path / "out" / "effects.png").stat().st_size > 1000

@@ -11,6 +11,7 @@ import random
 import re
 import time
 import tracemalloc
+import wave
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -25,14 +26,16 @@ from PIL import Image
 from pose_twins import landmarks, points, sam3d_fields
 from rigs import animated_glb
 from smplh_model import write_model
-from tiny_avatar import join_glb, split_glb, tiny_avatar
+from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_face
 
 from avatar.baked_avatar import check_avatar
 from avatar.body import builtin_body, read_body
 from avatar.camera import Camera, pinhole, read_camera
+from avatar.face import SHAPES
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip
+from avatar.motion.face_csv import HEAD
 from avatar.motion.read import read_motion
 from capture.read.colmap import _images, _lenses
 from capture.read.landmarks import read_pixels
@@ -40,9 +43,11 @@ from capture.read.opencv_yaml import read_opencv_yaml
 from command.errors import AssetError
 from files.npz import read_npy, read_npz
 from files.picture import WITH_WEBP, read_picture
+from files.sound import read_wav
 from files.unpickle import read_pickle
 from player.effects.background import Background, opened_source
 from player.effects.radiance import read_radiance
+from player.face.speech import Speech
 from player.scene.camera_path import CameraPath
 from player.scene.scene_file import read_scene
 
@@ -79,6 +84,7 @@ def finite_motion(path: Path) -> None:
     motion = read_motion(path)
     clip = motion.read(0, min(motion.frames, 50))
     assert np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()
+    assert clip.face is None or (clip.face.min() >= 0 and clip.face.max() <= 1 and np.isfinite(clip.gaze).all())
 
 
 def checked(path: Path) -> None:
@@ -135,6 +141,29 @@ def mediapipe_bytes(_: Path) -> bytes:
     return json.dumps({"frames": [frame | {"right_hand_world_landmarks": points(right[0])}]}).encode()
 
 
+def faces_bytes(_: Path) -> bytes:
+    scores = [{"category_name": name, "score": 0.01 * k, "index": k} for k, name in enumerate(SHAPES)]
+    frame = {"face_blendshapes": [scores], "facial_transformation_matrixes": [np.eye(4).tolist()]}
+    return json.dumps({"frames": [frame], "fps": 25}).encode()
+
+
+def table_bytes(_: Path) -> bytes:
+    rows = [f"10:00:00:{k:02}.5,61," + ",".join(f"{0.01 * (i + k):.2f}" for i in range(55)) for k in range(3)]
+    return "\n".join([",".join(["Timecode", "BlendShapeCount", *SHAPES, *HEAD]), *rows]).encode()
+
+
+def voice_bytes(folder: Path) -> bytes:
+    with wave.open(str(folder / "honest.wav"), "wb") as file:
+        file.setparams((1, 2, 16_000, 0, "NONE", ""))
+        file.writeframes(np.random.default_rng(0).integers(-9999, 9999, 4000).astype("<i2").tobytes())
+    return (folder / "honest.wav").read_bytes()
+
+
+def spoken(path: Path) -> None:
+    weights = Speech(read_wav(path)).frames
+    assert weights.min() >= 0 and weights.max() <= 1
+
+
 def sam3d_bytes(folder: Path) -> bytes:
     return written(lambda path: np.savez(path, **sam3d_fields(np.zeros((1, 52, 3)), np.zeros((1, 3)))))(folder)
 
@@ -169,6 +198,7 @@ def plain(content: object) -> Callable[[Path], bytes]:
 
 FORMATS = {
     "avatar": Format("a.glb", written(lambda path: write_avatar(path, tiny_avatar())), checked, **GLTF),
+    "avatar with a face": Format("a.glb", written(lambda path: write_avatar(path, tiny_face())), checked, **GLTF),
     "animation": Format("b.glb", lambda _: join_glb(*animated_glb()), finite_motion, **GLTF),
     "npz": Format("a.npz", archive(np.savez), finite_motion, 80),
     "deflated npz": Format("a.npz", archive(np.savez_compressed), finite_motion, 80),
@@ -181,6 +211,9 @@ FORMATS = {
     "bvh": Format("a.bvh", written(standing), finite_motion, parts=True),
     "EasyMocap": Format("000000.json", plain(PERSON), finite_motion, **JSON),
     "MediaPipe": Format("a.json", mediapipe_bytes, finite_motion, **JSON),
+    "MediaPipe's scores": Format("a.json", faces_bytes, finite_motion, **JSON),
+    "table of faces": Format("a.csv", table_bytes, finite_motion, text=True, parts=True),
+    "sound": Format("a.wav", voice_bytes, spoken, 2, parts=True),
     "SAM 3D Body": Format("a.npz", sam3d_bytes, finite_motion, 80),
     "camera": Format("camera.json", plain(CAMERA), read_camera, **JSON),
     "camera path": Format("path.json", plain({"keys": KEYS}), CameraPath.read, **JSON),

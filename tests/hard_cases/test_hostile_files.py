@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pictures import png
-from tiny_avatar import join_glb, split_glb, tiny_avatar
+from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_face
 
 from avatar.camera import read_camera
 from avatar.gltf.avatar_file import read_avatar, write_avatar
@@ -72,6 +72,7 @@ def at(document, place: str):
 
 OURS = "extensions.SELFSCAN_avatar"
 POSITION, WEIGHTS, INDICES = 1, 5, 10  # accessors of the finest level; 0 holds the inverse bind matrices
+TARGET = 11  # the first morph target of a face
 VIEW = 2  # the buffer view of POSITION
 HUGE = [2**31, 2**63, 10**200, -1, 1.5, True, "7", None, [], {}]
 LIES = [
@@ -163,6 +164,44 @@ def test_every_part_of_the_extension_may_be_absent_only_where_it_is_optional(pat
         assert read_avatar(path).linear is None
     else:
         refused(path, join_glb(document, binary), key)
+
+
+FACE_LIES = [
+    (f"{OURS}.face", 3, r"face should be an object of version 1"),
+    (f"{OURS}.face.version", 2, r"face should be an object of version 1"),
+    (f"{OURS}.face.eyes", [{}], "the left and the right one"),
+    (f"{OURS}.face.eyes.1.center", [0, 0], r"eyes\[1\].center should be 3 numbers"),
+    (f"{OURS}.face.eyes.1.center", [0, 0, 0], "of right_eye should be as the extension says"),
+    (f"{OURS}.face.eyes.0.axis", [0, 0, 2], "eyes.left.axis should be of unit length"),
+    *((f"{OURS}.face.eyes.0.radius", value, "radius should be") for value in [None, True, 0, 1e9, "1"]),
+    *((f"{OURS}.levels.0.balls", value, r"balls should be") for value in [3, [8, 2, 10], [8, 2, 10, 3], [8, 2, -1, 2],
+      [8.5, 2, 10, 2], [8, 0, 10, 2]]),
+    (f"{OURS}.levels.0.balls", [6, 2, 10, 2], "of the left ball left_eye alone"),
+    (f"{OURS}.levels.0.balls", [8, 1, 10, 2], "of the balls alone those of the eyes, is 'vertex 9'"),
+    (f"{OURS}.levels.1.balls", [0, 1, 1, 1], "of the left ball left_eye alone"),
+    ("meshes.0.extras.targetNames.3", "smile", "targetNames should be ARKit's 52 names"),
+    ("meshes.0.extras", [], "targetNames should be ARKit's 52 names"),
+    ("meshes.0.primitives.0.targets", [{}], "targets should be a list of 52 objects"),
+    ("meshes.0.primitives.0.targets.7", {"NORMAL": 1}, r"targets\[7\] should be of POSITION alone"),
+    ("meshes.0.primitives.0.targets.7.POSITION", 0, r"targets\[7\].POSITION should be \(12, 3\) floats"),
+    ("skins.0.joints", list(range(52)), "skin joint 54 should be .* then the eyes, here their end"),
+    ("nodes.15.children", [53], "parent of right_eye should be head|child of one"),
+    *((f"accessors.{TARGET}.count", value, rf"accessors\[{TARGET}\]|floats") for value in [*HUGE, 0, 11, 2**27]),
+    *((f"accessors.{TARGET}.sparse", value, "sparse should be") for value in [3, {}, {"indices": {}}]),
+    *((f"accessors.{TARGET}.sparse.count", value, "sparse") for value in [*HUGE, 0, 4, 2**27]),
+    *((f"accessors.{TARGET}.sparse.indices.{key}", value, r"sparse.indices")
+      for key in ("bufferView", "componentType", "byteOffset") for value in [*HUGE[:-4], 5126]),
+    (f"accessors.{TARGET}.sparse.indices.componentType", 5121, r"sparse.indices should be ascending and below 12"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("place, value, match", FACE_LIES)
+def test_a_lie_about_a_face_is_named(path, place, value, match):
+    write_avatar(path, tiny_face())
+    document, binary = split_glb(path.read_bytes())
+    holder, key = at(document, place)
+    holder[key] = value
+    refused(path, join_glb(document, binary), match)
 
 
 SPOILT = [
@@ -309,6 +348,7 @@ BEYOND = [
     ("a.npz", motion(mocap_framerate=5e-324), "mocap_framerate"),
     ("a.npz", motion(pelvis_height=1e-320), "pelvis_height"),
     ("a.npz", motion(pelvis_height=1e300), "pelvis_height"),
+    ("a.npz", motion(face=np.zeros((2, 51))), "face should be"),
     ("a.npz", motion(betas=1e300), "betas"),
     ("a.toml", f"rate = 1e-5\n{ACTOR}".encode(), "rate: expected at least"),
     ("a.toml", f"rate = 1e5\n{ACTOR}".encode(), "rate: expected at most"),

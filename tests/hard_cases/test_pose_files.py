@@ -38,6 +38,10 @@ def test_one_bad_root_position_is_named(tmp_path):
     trans[1, 2] = np.nan
     with pytest.raises(AssetError, match="trans is not finite at frame 1"):
         read_motion(save(tmp_path / "a.npz", trans=trans)).read()
+    gaze = np.zeros((3, 2, 2))
+    gaze[2, 0, 1] = np.inf
+    with pytest.raises(AssetError, match="gaze should be finite, is not at frame 2"):
+        read_motion(save(tmp_path / "a.npz", gaze=gaze)).read(1, 3)
 
 
 @pytest.mark.parametrize("columns", [63, 69, 75, 78, 87, 153, 155, 3, 0, 1 << 20])

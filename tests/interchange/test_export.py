@@ -6,21 +6,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chromium import chromium, three_frames
+from faced_avatar import doing, faced
 from node_packages import package_folder, run_node
 from pose_twins import angles_between
 from scipy import ndimage
-from tiny_avatar import join_glb, same, split_glb, tiny_avatar
+from tiny_avatar import join_glb, same, split_glb, tiny_avatar, tiny_face
 
 from avatar.camera import orbit_camera
+from avatar.face import eye_turn
 from avatar.gltf.animation import rotation_keys, write_animated
 from avatar.gltf.avatar_file import read_avatar, write_avatar
+from avatar.gltf.document import read_gltf
 from avatar.motion.bvh import open_bvh
 from avatar.motion.bvh_write import euler_zxy, write_bvh
 from avatar.motion.clip import Clip, Motion
 from avatar.motion.read import read_motion
-from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
+from avatar.rotation import matrix_from_axis_angle, matrix_from_quaternion, quaternion_from_axis_angle
 from avatar.skeleton import BIG_POSE, JOINTS, PARENTS, joint_transforms, rigid_inverse
 from command.errors import AssetError
+from player.draw.drawing import Pose
 from player.export_command import export_main
 from player.scene.framing import pelvis_height
 from player.scene.mannequin import mannequin
@@ -297,3 +301,40 @@ def test_three_js_draws_the_same_frame_as_paper_mode(context, tmp_path, pose):
         box, inside = compared(mine, other)
         assert box >= 35 and inside >= 39
     assert compared(ours[1], theirs[0])[0] < 20  # and the measure tells poses apart
+
+
+@pytest.mark.slow
+def test_three_js_moves_a_face_as_we_do(context, tmp_path):
+    folder = package_folder("three")
+    chromium()
+    avatar = replace(faced(), levels=(replace(faced().levels[0], base_color=painted().levels[0].base_color),))
+    write_avatar(tmp_path / "face.glb", avatar)
+    camera = orbit_camera(avatar.eyes[0].center * [0, 1, 1], 0.7, 0.3, 0.1, (480, 480), np.radians(45))
+    faces = (None, doing((0.4, -0.2), jawOpen=0.7))
+    poses = [Pose(np.zeros((52, 3)), np.zeros(3), face) for face in faces]
+    (tmp_path / "browser").mkdir()
+    theirs = three_frames(tmp_path / "face.glb", poses, camera, folder, tmp_path / "browser")
+    renderer = Renderer(context, [avatar], camera.size, view="off", background=BLACK)
+    ours = [renderer.draw([pose], camera)[..., :3] for pose in poses]
+    renderer.release()
+    everywhere = np.ones((480, 480), bool)
+    assert all(decibels(mine, other, everywhere) >= 35 for mine, other in zip(ours, theirs, strict=True))
+    assert decibels(ours[1], theirs[0], everywhere) < 30
+
+
+def test_an_exported_face_is_keys_of_weights_and_eyes_for_any_program(tmp_path):
+    write_avatar(tmp_path / "face.glb", tiny_face())
+    face, gaze = np.linspace(0, 1, 40 * 52).reshape(40, 52), np.linspace(-0.4, 0.4, 160).reshape(40, 2, 2)
+    write_animated(tmp_path / "talk.glb", tmp_path / "face.glb", replace(wild_clip(), face=face, gaze=gaze))
+    issues = run_node("validate_gltf.mjs", tmp_path / "talk.glb", package_folder("gltf-validator"))["issues"]
+    assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), issues["messages"]
+    assert same(read_avatar(tmp_path / "talk.glb"), tiny_face())
+    gltf = read_gltf(tmp_path / "talk.glb")
+    (animation,) = gltf.items("animations")
+    keys = {(channel["target"]["node"], channel["target"]["path"]): animation["samplers"][channel["sampler"]]["output"]
+            for channel in animation["channels"]}  # fmt: skip
+    np.testing.assert_allclose(gltf.accessor(keys[52, "weights"]).reshape(40, 52), face, atol=1e-7)
+    for eye, node in enumerate((53, 54)):
+        expected = [eye_turn(*gaze[frame, eye]) for frame in range(40)]
+        turned = matrix_from_quaternion(gltf.accessor(keys[node, "rotation"]).astype(np.float64))
+        np.testing.assert_allclose(turned, expected, atol=1e-6)

@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
+from faced_avatar import faced
 
 pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 
 import glfw
 
 from avatar.camera import project
+from avatar.face import SHAPES
+from avatar.gltf.avatar_file import write_avatar
 from avatar.limits import joint_angles, within
 from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
@@ -243,6 +246,24 @@ def test_a_pose_is_kept_in_the_library_and_taken_from_it(opened, tmp_path):
     before = session.pose
     edit.tried(lambda: edit.take("broken"))
     assert session.pose is before and "broken.npz" in window.parts.state.messages.last
+
+
+def test_a_face_is_posed_by_sliders_on_both_sides_or_one(open_window, tmp_path):
+    write_avatar(tmp_path / "faced.glb", faced())
+    window = open_window(str(tmp_path / "faced.glb"), size=SIZE, script="space home tab p wait wait")
+    session = window.parts.posing.edit.session
+    blink = [SHAPES.index(f"eyeBlink{side}") for side in ("Left", "Right")]
+    press(window, "Eyes", "eyeBlinkLeft")
+    assert session.pose.weights[blink[0]] == session.pose.weights[blink[1]] > 0.1 and len(session.history.past) == 1
+    assert "eyeBlinkRight" not in window.panels.places
+    shown = window.parts.posing.poses()
+    assert shown[0].face is None and np.array_equal(shown[1].face.weights, session.pose.weights)
+    press(window, "both sides", "eyeBlinkRight", "look up")
+    assert session.pose.gaze[0, 1] == session.pose.gaze[1, 1] != 0 and len(session.history.past) <= 3
+    press(window, "reset face")
+    assert session.pose.face is None
+    press(window, "undo")
+    assert session.pose.weights[blink[0]] > 0.1
 
 
 def test_without_panels_the_keys_pose_one_of_two(opened, avatar_path):

@@ -7,7 +7,9 @@ import pytest
 from pictures import pictures_in
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
-from avatar.motion.clip import Clip, Motion
+from avatar.motion.amass import write_amass
+from avatar.motion.clip import Clip, Motion, fitted, resample
+from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
 from command.errors import AssetError
 from player.film.command import render_main
@@ -83,10 +85,23 @@ def test_tracks_have_their_own_time_and_place_and_read_blocks():
     axis_angle, root = rng.normal(size=(1, 52, 3)), rng.normal(size=(1, 3))
     track = Track(Clip(axis_angle, root, 30.0), at=np.array([1.0, 0.0, -2.0]), turn=2.0)
     turned = matrix_from_axis_angle(np.array([0.0, 2.0, 0.0]))
-    pose, place = track.pose(0.0)
+    pose, place, face = track.pose(0.0)
+    assert face is None
     assert np.allclose(place, turned @ root[0] + [1, 0, -2], atol=1e-12)
     assert np.allclose(matrix_from_axis_angle(pose[0]), turned @ matrix_from_axis_angle(axis_angle[0, 0]), atol=1e-12)
     assert np.array_equal(pose[1:], axis_angle[0, 1:])
+
+
+def test_a_face_travels_from_its_file_to_the_poses_of_a_track(tmp_path):
+    face, gaze = np.linspace(0, 1, 4 * 52).reshape(4, 52), np.linspace(-0.3, 0.3, 16).reshape(4, 2, 2)
+    clip = Clip(np.zeros((4, 52, 3)), np.zeros((4, 3)), 10.0, face=face, gaze=gaze)
+    write_amass(tmp_path / "talk.npz", clip)
+    track = Track(fitted(read_motion(tmp_path / "talk.npz"), 0.9), start=0.1)
+    shown = track.pose(0.1).face
+    assert np.array_equal(shown.weights, face[2]) and np.array_equal(shown.gaze, gaze[2])
+    between = track.pose_beside(0.1, 0.05).face
+    assert np.allclose(between.weights, face[2:].mean(0)) and np.allclose(between.gaze, gaze[2:].mean(0))
+    assert np.allclose(resample(clip, 20).face[1], face[:2].mean(0))
 
 
 SIZE = (320, 240)

@@ -14,6 +14,7 @@ from player.pose.ik import LIMBS
 from player.pose.library import BUILTIN
 from player.pose.mirror import PARTNER, hand_joints, limb_of
 from player.window import actions
+from player.window.panels.face_panel import FacePanel
 from player.window.panels.widgets import Widgets
 from player.window.parts import WindowParts
 from player.window.posing import PoseEdit
@@ -32,7 +33,7 @@ class PosePanels:
     """The panels on the right while an avatar is posed by hand."""
 
     def __init__(self, ui: Widgets, parts: WindowParts):
-        self.ui, self.parts = ui, parts
+        self.ui, self.parts, self.face = ui, parts, FacePanel(ui)
 
     def draw(self) -> None:
         """All panels, each under its heading; none where no avatar is posed."""
@@ -44,6 +45,7 @@ class PosePanels:
             ("Joint", "The selected joint and its angles.", self._joint),
             ("Hands", "Hand shapes by name, and each finger.", self._hands),
             ("Reach", "How hands and feet are pulled, and which stay where they are.", self._reach),
+            *([("Face", "What the face does, and where the eyes look.", self.face.draw)] if edit.avatar.eyes else []),
             ("Library", "Poses to take, and your own to keep.", self._library),
         ):
             if self.ui.section(title, tip):

@@ -7,7 +7,7 @@ import rigs
 import trimesh
 from node_packages import package_folder, run_node
 from PIL import Image
-from tiny_avatar import same, tiny_avatar, tiny_level, unit
+from tiny_avatar import same, tiny_avatar, tiny_face, tiny_level, unit
 
 from avatar.gltf import avatar_file
 from avatar.gltf.avatar_file import read_avatar, write_avatar
@@ -47,6 +47,7 @@ LIT = dataclasses.replace(
         tiny_avatar(network=None, default_view="linear"),
         tiny_avatar(linear=None, default_view="off"),
         oracle(levels=(LIT,), light=LIGHT),
+        tiny_face(),
     ],
 )
 def test_an_avatar_comes_back_to_the_last_bit(path, avatar):
@@ -129,7 +130,7 @@ def test_four_features_lie_as_grey_planes_one_below_the_other(path):
         np.testing.assert_array_equal(np.array(image), np.concatenate([level.features[..., i] for i in range(4)]))
 
 
-@pytest.mark.parametrize("avatar", [tiny_avatar(), oracle()])
+@pytest.mark.parametrize("avatar", [tiny_avatar(), oracle(), tiny_face()])
 def test_the_khronos_validator_finds_no_error_and_no_warning(path, avatar):
     folder = package_folder("gltf-validator")
     write_avatar(path, avatar)
@@ -143,6 +144,13 @@ def changed(field, row, value):
     values = getattr(level, field).copy()
     values[row] = value
     return oracle(levels=(dataclasses.replace(level, **{field: values}),))
+
+
+def changed_face(**fields):
+    """The tiny face with other fields."""
+    level, *others = tiny_face().levels
+    face = dataclasses.replace(level.face, **fields)
+    return dataclasses.replace(tiny_face(), levels=(dataclasses.replace(level, face=face), *others))
 
 
 def moved_pelvis():
@@ -164,6 +172,12 @@ BROKEN = [
     (tiny_avatar(levels=(tiny_level(features=False),)), r"but levels\[0\] has no features"),
     (tiny_avatar(levels=tiny_avatar().levels[::-1]), r"finest to coarsest, have \[3, 6\] faces"),
     (oracle(levels=(LIT,)), "light should be in the avatar and all of its levels"),
+    (changed_face(vertices=np.array([3, 0, 7], np.uint32)), r"levels\[0\].face.vertices should be .* ascending"),
+    (changed_face(vertices=np.array([0, 3, 9], np.uint32)), r"face.vertices should be outside of the balls"),
+    (changed_face(balls=np.array([[8, 3], [10, 2]], np.uint32)), r"face.balls should be two runs"),
+    (changed_face(balls=np.array([[6, 2], [10, 2]], np.uint32)), r"face.vertices should be outside|bound to the head"),
+    (changed_face(offsets=np.ones((52, 3, 3), "f4")), r"face.offsets should be below 1.0 m"),
+    (dataclasses.replace(tiny_face(), eyes=None), "eyes should be there where a level has a face"),
     (oracle(joint_positions=moved_pelvis()), "pelvis at the origin, has it at"),
     (oracle(provenance={"psnr": float("nan")}), "provenance should be what JSON holds"),
     (oracle(provenance={"psnr": np.float32(1)}), "provenance should be what JSON holds"),

@@ -68,7 +68,7 @@ def test_what_is_no_pose_is_refused(case):
 def feed(order, decoder=None, counters=None):
     decoder, counters = decoder or JsonDecoder(), counters or Counters()
     used = [decoder.decode(message(n), 0.01 * k, counters) for k, n in enumerate(order)]
-    return [None if found is None else found[0].sequence for found in used], counters
+    return [None if found is None else found.content.sequence for found in used], counters
 
 
 def test_one_sender_is_followed_at_a_time_a_restarted_one_at_once():
@@ -79,11 +79,11 @@ def test_one_sender_is_followed_at_a_time_a_restarted_one_at_once():
     assert decoder.decode(message(5, sender="a"), 0.0, counters)
     assert decoder.decode(message(9, sender="b"), 0.5, counters) is None and counters.other == 1
     found = decoder.decode(message(10, sender="b"), 2.0, counters)
-    assert found is not None and found[0].sender == "b" and found[1] and counters.lost == 0
+    assert found is not None and found.content.sender == "b" and found.restarted and counters.lost == 0
     decoder, counters = JsonDecoder(), Counters()
     feed(range(1000, 1010), decoder, counters)
     found = decoder.decode(message(0), 1.0, counters)
-    assert found is not None and found[1] and counters.late == counters.lost == 0
+    assert found is not None and found.restarted and counters.late == counters.lost == 0
     # restarted after a few messages: late ones for a while, then followed
     decoder, counters = JsonDecoder(), Counters()
     feed(range(40), decoder, counters)
@@ -126,12 +126,12 @@ def test_the_newest_pose_is_shown_and_memory_does_not_grow():
     inbox = Inbox("udp")
     for n in range(3000):
         inbox.feed(raised(0.0, n * 1e-4, n, sender=""), n * 1e-4)
-    assert len(inbox.arrivals) <= 64 and len(inbox.json.recent) <= 128
+    assert len(inbox.arrivals) <= 64 and len(inbox.decoder.recent) <= 128
     inbox = Inbox("vmc")
     for n in range(2000):
         inbox.feed(build_message("/VMC/Ext/Bone/Pos", f"Bone{n}", *[0.0] * 6, 1.0), 0.0)
         inbox.feed(build_message("/VMC/Ext/T", float(n)), 0.0)
-    assert len(inbox.vmc.bones) == 0 and len(inbox.vmc.recent) <= 16 and inbox.newest is None
+    assert len(inbox.decoder.bones) == 0 and len(inbox.decoder.recent) <= 16 and inbox.newest is None
 
 
 def test_a_frame_in_two_datagrams_is_one_frame(tmp_path):

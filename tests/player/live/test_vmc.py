@@ -26,12 +26,12 @@ def decoded(*packets):
     decoder, counters = VmcDecoder(), Counters()
     arrival = None
     for packet in packets:
-        arrival = decoder.decode(packet, counters) or arrival
+        arrival = decoder.decode(packet, 0.0, counters) or arrival
     return arrival, counters
 
 
 def pose_of(*packets):
-    return pose_from_rig(rig_from_state(decoded(*packets)[0].state), identity_calibration())
+    return pose_from_rig(rig_from_state(decoded(*packets)[0].content), identity_calibration())
 
 
 def random_pose(seed=0, scale=0.8):
@@ -64,7 +64,7 @@ def test_the_arm_rises_the_root_moves_the_pelvis_and_the_leg_is_measured():
     assert np.allclose(pose.root, [-1 - 2, 1, 0], atol=1e-6)
     assert np.allclose(pose.axis_angle[0], [0, -np.pi / 2, 0], atol=1e-6)
     packet = VmcEncoder(BODY.joints).encode(*random_pose(), 0.0)
-    leg = rig_from_state(decoded(packet)[0].state).leg
+    leg = rig_from_state(decoded(packet)[0].content).leg
     assert abs(leg - (-BODY.joints[[7, 8], 1].mean())) < 0.03 * leg  # legs of the rest pose are almost straight
     assert leg_length(np.zeros((52, 3))) is None
 
@@ -87,7 +87,7 @@ def test_both_spellings_of_thumbs_and_camel_case_are_read(side, first):
 def test_a_bone_with_impossible_numbers_is_counted_and_the_rest_used(numbers):
     bad = build_message("/VMC/Ext/Bone/Pos", "Head", *numbers)
     arrival, counters = decoded(build_bundle([bad, bone("Neck", rotation=(1, 0, 0, 0))]))
-    assert counters.malformed == 1 and set(arrival.state.bones) == {"neck"}
+    assert counters.malformed == 1 and set(arrival.content.bones) == {"neck"}
     assert decoded(build_message("/VMC/Ext/Bone/Pos", "Head"))[1].malformed == 1
 
 
@@ -96,22 +96,22 @@ def test_datagrams_of_one_frame_belong_together_and_a_repeated_bone_begins_the_n
     first = build_bundle(
         [build_message("/VMC/Ext/T", 1.0), build_message("/VMC/Ext/Root/Pos", "root", *[0.0] * 6, 1.0), bone("Hips")]
     )
-    begins = [decoder.decode(first, counters), decoder.decode(build_bundle([bone("Head")]), counters)]
+    begins = [decoder.decode(first, 0.0, counters), decoder.decode(build_bundle([bone("Head")]), 0.0, counters)]
     second = build_bundle([build_message("/VMC/Ext/T", 1.5), bone("Hips", position=(0, 1, 0))])
-    begins.append(decoder.decode(second, counters))
+    begins.append(decoder.decode(second, 0.0, counters))
     assert [a.begins for a in begins] == [True, False, True] and [a.sent for a in begins] == [1.0, 1.0, 1.5]
-    assert "head" in begins[2].state.bones  # held until it is sent again
-    assert decoder.decode(build_message("/VMC/Ext/Blend/Apply"), counters) is None and counters == Counters()
+    assert "head" in begins[2].content.bones  # held until it is sent again
+    assert decoder.decode(build_message("/VMC/Ext/Blend/Apply"), 0.0, counters) is None and counters == Counters()
 
 
 def test_a_late_clock_belongs_to_its_bones_and_lost_tracking_is_said():
     decoder, counters = VmcDecoder(), Counters()
     for seconds in (1.0, 2.0, 3.0):
         packet = build_bundle([bone("Hips", position=(seconds, 0, 0)), build_message("/VMC/Ext/T", seconds)])
-        assert decoder.decode(packet, counters).sent == seconds
+        assert decoder.decode(packet, 0.0, counters).sent == seconds
     decoder = VmcDecoder()
     for arguments, tracking in (((1,), True), ((0,), False), ((1, 3, 0, 0), False), ((1, 3, 0, 1), True)):
-        decoder.decode(build_message("/VMC/Ext/OK", *arguments), Counters())
+        decoder.decode(build_message("/VMC/Ext/OK", *arguments), 0.0, Counters())
         assert decoder.tracking is tracking
 
 

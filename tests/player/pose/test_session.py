@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avatar.body import builtin_body
+from avatar.face import SHAPES
 from avatar.limits import joint_angles, within
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
@@ -303,6 +304,31 @@ def test_a_kept_pose_comes_back_to_the_last_bit_and_plays(tmp_path):
     assert library.names()[-2:] == ["a", "My pose é 1"]
     library.delete("My pose é 1")
     assert library.names() == [*BUILTIN, "a"]
+
+
+def test_a_face_is_a_step_of_undo_is_mirrored_kept_and_left_by_poses_without_one(tmp_path):
+    session = PoseSession(builtin_body("male").joints)
+    weights, gaze = np.zeros(52), np.array([[0.3, 0.1], [0.2, 0.1]])
+    weights[SHAPES.index("mouthSmileLeft")] = 0.7
+    for share in (0.5, 1.0):
+        session.set_face(share * weights, share * gaze, drag="smile")
+    session.history.end_drag()
+    smiling = session.pose
+    session.set_angle(18, 0, 1.0)
+    assert session.pose.face is not None and [label for label, _ in session.history.past] == ["face", "left_elbow"]
+    session.mirror()
+    assert session.pose.weights[SHAPES.index("mouthSmileRight")] == 0.7
+    assert np.array_equal(session.pose.gaze, [[-0.2, 0.1], [-0.3, 0.1]])
+    session.undo(), session.undo()
+    assert session.pose is smiling
+    library = Library(tmp_path)
+    library.write("smiling", smiling)
+    assert library.read("smiling", root=np.zeros(3)).same(smiling)
+    assert library.read("T-pose", root=np.zeros(3)).face is None
+    with pytest.raises(ValueError, match="not finite"):
+        session.set_face(weights * np.nan, gaze)
+    session.undo()
+    assert session.pose.face is None
 
 
 def test_what_cannot_be_kept_is_refused_and_what_was_there_stays(tmp_path):

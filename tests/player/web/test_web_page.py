@@ -2,16 +2,19 @@
 
 import hashlib
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from browser_page import browser_page
 from chromium import chromium
+from faced_avatar import doing, faced
 from interchange.test_export import decibels, painted
 
 from avatar.camera import orbit_camera, project
 from avatar.motion.clip import Motion
 from player.budget.rung import Rung
+from player.draw.drawing import Pose
 from player.draw.posing import posed_vertices
 from player.gl.context import open_context
 from player.scene.effects import STUDIO
@@ -54,8 +57,8 @@ def settings(**more):
     return "&".join(f"{name}={value}" for name, value in words.items())
 
 
-def rendered(avatar, pose, view):
-    camera = orbit_camera(PLACE, *FROM.values(), SIZE, np.radians(35.0))
+def rendered(avatar, pose, view, place=PLACE, distance=FROM["distance"]):
+    camera = orbit_camera(place, *(FROM | {"distance": distance}).values(), SIZE, np.radians(35.0))
     context = open_context()
     try:
         renderer = Renderer(context, [avatar], SIZE, view=view, background=STUDIO.color)
@@ -81,6 +84,31 @@ def test_the_page_draws_the_frames_of_render_in_every_view_mode(page):
     for view in ("off", "linear"):
         assert decibels(drawn[1, "network"], drawn[1, view], everywhere) < 35
     assert decibels(drawn[1, "network"], drawn[0, "network"], everywhere) < 20
+    assert tab.problems == []
+
+
+def test_a_face_moves_as_render_moves_it_and_a_level_without_one_stays_still(page, tmp_path):
+    tab, *_ = page
+    level = replace(faced().levels[0], base_color=painted().levels[0].base_color)
+    avatar = replace(faced(), levels=(level, replace(painted().levels[0], features=None)))
+    faces = [doing(), doing((0.3, -0.2), jawOpen=0.7, eyeBlinkLeft=1.0)]
+    motion = replace(two_poses((np.zeros((52, 3)), np.zeros(3)))[1], faces=lambda start, stop: (
+        np.stack([face.weights for face in faces[start:stop]]), np.stack([face.gaze for face in faces[start:stop]])
+    ))  # fmt: skip
+    write_page(tmp_path / "face.html", avatar, motion, 0, 2, "Face")
+    place, everywhere, drawn = avatar.eyes[0].center * [0, 1, 1], np.ones(SIZE, bool), []
+    for frame, face in enumerate(faces):
+        words = settings(view="vertex", frame=frame, distance=0.7, **dict(zip("xyz", place, strict=True)))
+        tab.open(tmp_path / "face.html", words)
+        drawn.append(tab.frame())
+        ours = rendered(avatar, Pose(np.zeros((52, 3)), np.zeros(3), face), "vertex", place, 0.7)
+        assert decibels(ours, drawn[-1], everywhere) >= 45
+    # the measure tells a moving face from one at rest
+    assert decibels(drawn[0], drawn[1], everywhere) < 35
+    tab.open(tmp_path / "face.html", words + "&level=1")
+    still = replace(avatar, levels=avatar.levels[1:], eyes=None)
+    ours = rendered(still, Pose(np.zeros((52, 3)), np.zeros(3)), "off", place, 0.7)
+    assert decibels(ours, tab.frame(), everywhere) >= 45
     assert tab.problems == []
 
 
