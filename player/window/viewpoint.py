@@ -53,7 +53,7 @@ class Viewpoint:
 
     def _joints(self, index: int) -> Float[np.ndarray, "52 4 4"]:
         """Where the joints of an avatar are now."""
-        axis_angle, root = self.state.last.poses[index]
+        axis_angle, root, _ = self.state.last.poses[index]
         return joint_transforms(axis_angle, self.state.avatars[index].joint_positions.astype(np.float64), root)
 
     def show_part(self, joint: int, middle: int) -> None:
@@ -65,7 +65,7 @@ class Viewpoint:
         for child in range(joint, len(PARENTS)):
             below += [child] * (PARENTS[child] in below)
         level = avatar.level(2)
-        points = posed_vertices(avatar, level, self.state.last.poses[index])[np.isin(level.skin.heaviest, below)]
+        points = posed_vertices(avatar, level, self.state.last.poses[index][:2])[np.isin(level.skin.heaviest, below)]
         x, _, z = joints[HEAD if joint == HEAD else 0, :3, 2]
         orbit, azimuth = self.cameras.orbit, float(np.arctan2(x, z))
         target, distance = fitted(points, azimuth, self._size, fov=orbit.fov)
