@@ -16,7 +16,7 @@ BUDGET = {
     "train": 5_365,
     "bake": 4_439,
     "player": 18_327,
-    "shaders": 1_007,
+    "shaders": 1_005,
     "synth": 2_688,
     "bench": 5_529,
     "selfscan": 432,
