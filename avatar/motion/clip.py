@@ -142,10 +142,10 @@ def resample(clip: Clip, rate: float | int) -> Clip:
     before = np.minimum(time.astype(np.int64), count - 2)
     part = time - before
     joints = between(clip.axis_angle[before], clip.axis_angle[before + 1], np.repeat(part[:, None], 52, 1))
-    resampled = replace(clip, axis_angle=joints, root=_straight(clip.root, before, part), rate=rate)
-    if clip.face is None or clip.gaze is None:
-        return resampled
-    return replace(resampled, face=_straight(clip.face, before, part), gaze=_straight(clip.gaze, before, part))
+    root, face, gaze = (
+        None if rows is None else _straight(rows, before, part) for rows in (clip.root, clip.face, clip.gaze)
+    )
+    return replace(clip, axis_angle=joints, root=root, rate=rate, face=face, gaze=gaze)
 
 
 def _straight(rows: Float[Array, "frames *row"], before: Int[Array, "new"], part: Float[Array, "new"]) -> Array:
