@@ -3,8 +3,7 @@
 // VIEW_STAGE: 0 paper mode, 1 view dependence per vertex, 2 per pixel.
 // LIT: 0 the light of the videos is in the colours; the surface is lit anew (light.glsl): 1 without highlights, 2 with
 // them, 3 with them and in a power of the colours.
-// CONTACT: 1 limbs that come near darken it (contact.glsl). LOOSE: 1 hair and skirts move by themselves (loose.glsl).
-// FACE: 1 its face moves (face.glsl).
+// CONTACT: 1 limbs that come near darken it (contact.glsl). LOOSE, FACE: 1 hair and skirts, the face move (*.glsl).
 // VIEW_MODEL: see view_model.glsl (asked only when VIEW_STAGE is not 0).
 #include "frame.glsl"
 #if SKINNING == 0
@@ -28,7 +27,6 @@ in vec4 follows;
 
 #if LIT != 0
 #include "directions.glsl"
-
 in vec3 normal;      // canonical, unit
 in vec2 seen_light;  // S and H that the base colour shows
 #include "light.glsl"
@@ -46,7 +44,6 @@ in vec3 normal;    // canonical, unit
 #endif
 in uint spared;    // bits of the capsules that do not darken it
 in float rest;     // openness in the pose it rests in
-
 uniform float darkening;
 out float openness;
 #endif
@@ -87,7 +84,8 @@ void main() {
 #if LIT != 0
     // R(q) n: turned_back by the conjugate
     vec4 turn = blended_turn(joints, weights);
-    light_here = light_factors(seen_light, turned_back(vec4(-turn.xyz, turn.w), faced_normal(normal)), unit(-position_view));
+    vec3 lit_normal = turned_back(vec4(-turn.xyz, turn.w), faced_normal(normal));
+    light_here = light_factors(seen_light, lit_normal, unit(-position_view));
 #endif
 #if VIEW_STAGE != 0
     vec3 direction_canonical = turned_back(blended_turn(joints, weights), unit(position_view));

@@ -30,7 +30,7 @@ from player.draw.resources import AnyHandle, Handle, PlanResources
 ASIDE, UP, DOWN = np.radians([35.0, 25.0, 30.0]).tolist()
 CLEARANCE = 3e-4  # metres from a ball to its lids
 HEAD, HEAD_HEIGHT = JOINT_NUMBERS["head"], 0.23  # metres
-SMALLEST = 40  # pixels; of a smaller head nobody sees it move
+SMALLEST = 40  # pixels; the face of a smaller head is drawn at rest
 IDENTITY = np.eye(3)
 WIDTH = 64  # texels of a row, shaders/face.glsl
 AT_REST = Decision(PassState.SKIPPED, "at rest")

@@ -10,7 +10,7 @@ Nothing is random and no clock is read.
 
 import numpy as np
 
-from player.draw.drawing import FASTEST, TURNED, Pose
+from player.draw.drawing import FASTEST, TURNED, GivenPose
 from player.effects.loose_parts import DrivenPose, LooseParts
 from player.effects.loose_sheets import STEP, Sheets
 from player.effects.secondary_motion import SecondaryMotion
@@ -69,7 +69,7 @@ class LooseMotion:
         # whether nothing moves any more, and nothing is computed
         self.asleep = False
 
-    def move(self, pose: Pose, seconds: float) -> None:
+    def move(self, pose: GivenPose, seconds: float) -> None:
         """Go on to a pose at a moment; the first sets the particles where it skins them to."""
         if self._seconds is None or not 0 <= seconds - self._seconds <= LONGEST:
             self._begin(pose, seconds)
@@ -95,7 +95,7 @@ class LooseMotion:
             self._older = None
         self._settle(now)
 
-    def _begin(self, pose: Pose, seconds: float) -> None:
+    def _begin(self, pose: GivenPose, seconds: float) -> None:
         self._pose, self._seconds = pose, seconds
         self._driver = self._reference = self.parts.drive(pose)
         self._x = self._driver.targets.copy()

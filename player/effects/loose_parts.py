@@ -16,7 +16,7 @@ from numpy import ndarray as Array
 from avatar.baked_avatar import Avatar, Level
 from avatar.skeleton import joint_transforms
 from avatar.skinning import dense_weights
-from player.draw.drawing import Pose
+from player.draw.drawing import GivenPose
 from player.draw.posing import Poser
 from player.effects.contact_capsules import BONES, capsule_distances, capsules_of
 from player.effects.held_feet import GROWN, LEGS, leg_bones
@@ -79,7 +79,7 @@ class LooseParts:
     near: Int[Array, "vertices 4"]
     follows: Float[Array, "vertices 4"]
 
-    def drive(self, pose: Pose) -> DrivenPose:
+    def drive(self, pose: GivenPose) -> DrivenPose:
         """Where a pose has the particles, the pelvis at the origin."""
         axis_angle, root = np.asarray(pose[0], np.float64), np.asarray(pose[1], np.float64)
         poser = self.poser

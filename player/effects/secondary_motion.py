@@ -17,7 +17,7 @@ import numpy as np
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import view_from_world
 from command.settings import Above, AtLeast, AtMost, settings
-from player.draw.drawing import Drawing, FrameInputs, Pose
+from player.draw.drawing import Drawing, FrameInputs, GivenPose, Pose
 from player.draw.plan import Absent, Attributes, Decision, Draft, Pass, PassState, Stage, vertex_order
 from player.draw.posed_mesh import PosedMesh, posed_mesh
 from player.draw.resources import AnyHandle, Handle, PlanResources
@@ -76,7 +76,7 @@ class LazyMotion:
         assert parts is not None, "planned for what is loose"
         return LooseMotion(parts, self._springs)
 
-    def move(self, pose: Pose, seconds: float) -> None:
+    def move(self, pose: GivenPose, seconds: float) -> None:
         motion, began = self.found, time.perf_counter()
         motion.move(pose, seconds)
         self.ms = 1e3 * (time.perf_counter() - began)

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera, pixel_rays
 from avatar.skinning import SkinWeights, dense_weights
+from player.draw.drawing import GivenPose
 from player.draw.posing import posed_vertices
-from player.scene.renderer import Pose
 from player.window.parts import WindowParts
 from player.window.pose_tool import PoseTool
 from player.window.screen import Screen
@@ -121,7 +121,7 @@ class Pointer:
 def pick(
     avatars: Sequence[Avatar],
     levels: Sequence[Level],
-    poses: Sequence[Pose],
+    poses: Sequence[GivenPose],
     camera: Camera,
     pixel: tuple[float, float],
 ) -> Picked | None:

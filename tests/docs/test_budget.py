@@ -16,7 +16,7 @@ BUDGET = {
     "train": 5_365,
     "bake": 4_439,
     "player": 20_263,
-    "shaders": 1_007,
+    "shaders": 1_005,
     "synth": 3_836,
     "bench": 5_577,
     "selfscan": 432,

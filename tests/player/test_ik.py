@@ -217,7 +217,7 @@ def poses_of(clip: Clip):
 
 
 def transforms(poses, joints):
-    axis_angle, root = (np.stack(part) for part in zip(*poses, strict=True))
+    axis_angle, root = (np.stack(part) for part in zip(*(pose[:2] for pose in poses), strict=True))
     return joint_transforms(axis_angle, joints, root)
 
 
@@ -280,7 +280,7 @@ def test_the_pelvis_gives_way_where_a_leg_is_too_short(joints):
     clip = Clip(np.zeros((60, 52, 3)), root, 30.0)
     feet = held_on(clip, joints)
     held = held_poses(feet, clip)
-    dropped = root[:, 1] - np.stack([r for _, r in held])[:, 1]
+    dropped = root[:, 1] - np.stack([pose.root for pose in held])[:, 1]
     assert 0.002 < dropped.max() < 0.15 and dropped.min() >= 0
     toes = transforms(held, joints)[:, TOES[0], :3, 3]
     assert np.linalg.norm(toes - toes[0], axis=1).max() < 0.002
@@ -301,7 +301,7 @@ def test_hysteresis_keeps_a_toe_that_trembles_about_the_threshold():
 def test_where_no_foot_is_held_and_in_a_single_frame_it_is_the_very_pose(joints, sliding):
     up = replace(sliding, root=sliding.root + np.linspace(0, 30, len(sliding.root))[:, None] * [0, 1, 0])
     feet = held_on(up, joints, replace(LOCK, release=0.05))
-    (axis_angle, root), last = feet.pose(len(up.root) - 1, 0, up), len(up.root) - 1
+    (axis_angle, root, _), last = feet.pose(len(up.root) - 1, 0, up), len(up.root) - 1
     assert np.shares_memory(axis_angle, up.axis_angle[last]) and np.shares_memory(root, up.root[last])
     steps = Steps(*np.zeros((2, 0)), *np.zeros((3, 0, 3)))
     assert not offset(steps, 5, np.ones(3), 3.0).any()
@@ -319,14 +319,14 @@ def test_off_is_bit_identical_and_shares_of_a_film_are_the_film():
     raw = Track(plain.tracks[0].motion).pose
     changed = 0
     for frame in range(0, plain.frames, 5):
-        (a, root), (b, same) = plain.poses(frame)[0], raw(frame / plain.rate)
+        (a, root, _), (b, same, _) = plain.poses(frame)[0], raw(frame / plain.rate)
         assert np.array_equal(a, b) and np.array_equal(root, same)
         changed += not np.array_equal(asked.poses(frame)[0][0], a)
     assert changed > 10
     # another machine begins in the middle
     other = Stage(asked.scene, 1)
     for frame in (200, 120, 121, 7):
-        for one, two in zip(asked.poses(frame)[0], other.poses(frame)[0], strict=True):
+        for one, two in zip(asked.poses(frame)[0][:2], other.poses(frame)[0][:2], strict=True):
             assert np.array_equal(one, two)
     identities = [Shot(stage.scene, 0, 9, (64, 64), 30.0, None).identity() for stage in (plain, asked)]
     assert identities[0] != identities[1], "parts of the one are no parts of the other"
@@ -339,6 +339,6 @@ def test_neighbours_are_solved_at_once_as_each_alone(joints, sliding, monkeypatc
     monkeypatch.setattr("player.effects.held_feet.reach_for", lambda *given: calls.append(1) or reach_for(*given))
     together = held_poses(feet, sliding)
     assert len(calls) <= 2 * -(-frames // TOGETHER)
-    for one, (axis_angle, root) in zip(alone, together, strict=True):
+    for one, (axis_angle, root, _) in zip(alone, together, strict=True):
         np.testing.assert_allclose(axis_angle, one.axis_angle[0], rtol=0, atol=1e-12)
         np.testing.assert_allclose(root, one.root[0], rtol=0, atol=1e-12)
