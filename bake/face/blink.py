@@ -16,7 +16,8 @@ AT_REST, CLOSED = 0.0003, 0.0004
 OVER = 0.0003
 # metres round the ball's middle in which lids are kept outside of it
 LIDS = 0.02
-FACTORS = (0.4, 2.5)
+# by how much less or more than the template's a lid moves, and metres along it over which that is smoothed
+FACTORS, ALONG = (0.05, 1.8), 0.0025
 STEPS = np.linspace(0, 1, 9)
 
 
@@ -54,8 +55,11 @@ def fitted_blink(
     if not weight.max() > 0.002:
         raise FaceRefused("its template's lids do not close over its eyes")
     x, order = points[:, 0] - center[0], np.argsort(top[:, 0])
-    kernel = np.exp(-0.5 * np.square((x[:, None] - top[None, order, 0]) / 0.0015)) * weight[order] + 1e-12
+    near = np.clip(x, top[:, 0].min(), top[:, 0].max())
+    kernel = np.exp(-0.5 * np.square((near[:, None] - top[None, order, 0]) / ALONG)) * weight[order] + 1e-12
     scale = (kernel * factor[order]).sum(1) / kernel.sum(1)
+    beside = np.maximum(np.maximum(top[:, 0].min() - x, x - top[:, 0].max()), 0) / ALONG
+    scale = np.minimum(scale, 1 + (FACTORS[1] - 1) * np.clip(1 - beside, 0, 1))
     of_upper = np.clip((points[:, 1] - center[1] - np.interp(x, across, height)) / 0.002, 0, 1)
     return blink * (1 + of_upper * (scale - 1))[:, None]
 

@@ -29,6 +29,8 @@ RINGS, SPOKES = 14, 32
 WITHIN = 0.0001
 # radians from the lids' edge within which a picture shows lids and lashes; over which what was seen fades into the fill
 EDGE, FADE = np.radians(2.0), np.radians(4.0)
+# sRGB: the white of an eye differs by less from its median; one that was not seen
+STAIN, WHITE = 0.1, (0.76, 0.73, 0.71)
 # radians: the iris ends between these; axes tried to either side of straight on
 IRIS = (np.radians(20.0), np.radians(40.0))
 AXES = np.radians(np.arange(-10, 10.5, 1.0))
@@ -38,7 +40,8 @@ class OpenEye(NamedTuple):
     """A level without its ball, and what was cut away."""
 
     level: Level
-    loop: Integer[Array, "n"]  # vertices along the lids' edge, in order, the first not again
+    loop: Integer[Array, "n"]  # vertices along the lids' edge, in order, the first not again; one of each place
+    edge: Integer[Array, "m 2"]  # the lids' own edges there, as their faces run
     ball: Integer[Array, "faces 3"]  # by the level's vertices
 
 
@@ -68,7 +71,15 @@ def cut_ball(level: Level, person: PersonFace, center: Float[Array, "3"], radius
     first = {int(at): row for row, at in reversed(list(enumerate(place))) if row >= count}
     loop = np.array([first[int(at)] for at in found[0][:-1]])
     kept = cut.faces[cut.side > 0].astype(np.uint32)
-    return OpenEye(replace(grown, faces=kept), loop, cut.faces[cut.side < 0])
+    own = half_edges(cut.faces[cut.side > 0])
+    own = own[(own >= count).all(1) & np.isin(place[own], place[loop]).all(1)]
+    return OpenEye(replace(grown, faces=kept), loop, own[lonely(place[own])], cut.faces[cut.side < 0])
+
+
+def lonely(edges: Integer[Array, "n 2"]) -> Bool[Array, "n"]:
+    """Which directed edges have none against them."""
+    last = int(edges.max()) + 1
+    return ~np.isin(edges[:, 0] * last + edges[:, 1], edges[:, 1] * last + edges[:, 0])
 
 
 def only_front(
@@ -176,9 +187,13 @@ def iris_picture(
     edge /= np.linalg.norm(edge, axis=1, keepdims=True)
     inside = np.arccos(np.clip(directions @ edge.T, -1, 1)).min(1).reshape(height, width)
     share = np.where(np.isnan(colors[..., 0]), 0, np.clip((inside - EDGE) / FADE, 0, 1))
-    fill = filled_rings(np.nan_to_num(colors), share > 0.5)
+    unknown, colors = np.isnan(colors), np.nan_to_num(colors)
+    fill = filled_rings(colors, share > 0.5)
+    # what stands out from the white is of the lids' corner
+    white = (np.arange(height) + 0.5) / height * CAP > IRIS[1]
+    share *= np.where(white[:, None], np.clip(2 - np.abs(colors - fill).max(2) / STAIN, 0, 1), 1)
     share = ndimage.gaussian_filter(share, 1.0, mode="nearest")[..., None]
-    return np.where(np.isnan(colors), fill, share * np.nan_to_num(colors) + (1 - share) * fill)
+    return np.where(unknown, fill, share * colors + (1 - share) * fill)
 
 
 def filled_rings(
@@ -196,13 +211,9 @@ def filled_rings(
     step = np.where((at > IRIS[0]) & (at < IRIS[1]), np.gradient(ndimage.gaussian_filter1d(ring.mean(1), 2.0)), -1)
     edge = int(step.argmax()) + int(np.radians(4) / CAP * height)
     beyond = known & (np.arange(height) > edge)[:, None]
-    if beyond.sum() > 20:
-        bright = colors[beyond]
-        white = np.median(bright[bright.mean(1) >= np.median(bright.mean(1))], 0)
-    else:
-        white = np.array([0.82, 0.79, 0.77])
+    white = np.median(colors[beyond], 0) if beyond.sum() > 20 else np.array(WHITE)
     over = np.clip((rows - edge) / 4, 0, 1)[:, None]
     # the ball is round: its light falls off from where it looks at the lids' corners
-    round_off = 1 - 0.3 * np.clip((at - at[edge]) / np.radians(45.0), 0, 1)[:, None] * np.array([0.8, 1.05, 1.1])
+    round_off = 1 - 0.45 * np.clip((at - at[edge]) / np.radians(40.0), 0, 1)[:, None] * np.array([0.8, 1.05, 1.1])
     ring = (1 - over) * ring + over * white * round_off
     return np.repeat(ring[:, None], colors.shape[1], 1)

@@ -11,7 +11,6 @@ from PIL import Image
 
 from avatar.baked_avatar import Level
 from avatar.face import SHAPES, SIDES, Eye, FaceShapes
-from avatar.rotation import unit_or_zero
 from avatar.skeleton import JOINTS
 from avatar.texture import bytes_of
 from bake.face.blink import LIDS, fitted_blink, outside, pushed_out
@@ -45,10 +44,10 @@ class Growing(NamedTuple):
         self, points: Float[Array, "n 3"], uv: Float[Array, "n 2"], faces: Integer[Array, "faces 3"],
         offsets: Float32[Array, "52 n 3"], like: Integer[Array, "k"],
     ) -> "Growing":  # fmt: skip
-        """With geometry of the head behind its own, lit as the vertices `like` are on the mean; nothing of it changes
-        with the view."""
-        level, count = self.level, len(points)
-        normals = unit_or_zero(vertex_normals(points, faces))
+        """With geometry of the head behind its own, whose faces may have vertices of both, lit as the vertices `like`
+        are on the mean; nothing of it changes with the view."""
+        level, count, before = self.level, len(points), len(self.level.positions)
+        normals = vertex_normals(np.concatenate([level.positions, points]).astype(np.float64), faces)[before:]
         first = np.eye(1, 4, dtype=np.uint8).repeat(count, 0)
         fields = {
             "positions": points, "normals": normals, "uv": uv, "joints": HEAD * first,
@@ -59,7 +58,7 @@ class Growing(NamedTuple):
             fields["light"] = np.repeat(level.light[like].mean(0, keepdims=True), count, 0)
         if level.loose is not None:
             fields["loose"] = np.zeros(count)
-        whole = np.concatenate([level.faces, (faces + len(level.positions)).astype(np.uint32)])
+        whole = np.concatenate([level.faces, faces.astype(np.uint32)])
         return Growing(replace(joined(level, fields), faces=whole), np.concatenate([self.offsets, offsets], 1))
 
 
@@ -140,9 +139,13 @@ def joined_face(
     growing, texels = parts.growing, len(parts.growing.level.base_color)
     growing = growing._replace(level=with_strip(growing.level, pictures))
     for one, eye in zip(parts.opened, eyes):
-        growing = with_rim(growing, one.loop, eye)
+        growing = with_rim(growing, one.edge, eye)
     growing = growing.with_geometry(
-        mouth.points, uv_in(MOUTH, mouth.uv, texels), mouth.faces, mouth.offsets, parts.upper
+        mouth.points,
+        uv_in(MOUTH, mouth.uv, texels),
+        mouth.faces + len(growing.level.positions),
+        mouth.offsets,
+        parts.upper,
     )
     balls, still = [], np.unique(growing.level.faces)
     for one, eye, place in zip(parts.opened, eyes, EYES):
@@ -150,7 +153,7 @@ def joined_face(
         balls.append([len(growing.level.positions), len(ball.uv)])
         offsets = np.zeros((len(SHAPES), len(ball.uv), 3), np.float32)
         at = eye.center + eye.radius * ball.directions
-        growing = growing.with_geometry(at, uv_in(place, ball.uv, texels), ball.faces, offsets, one.loop)
+        growing = growing.with_geometry(at, uv_in(place, ball.uv, texels), ball.faces + balls[-1][0], offsets, one.loop)
     # what was cut away of the old balls is named by no triangle
     kept = np.r_[still, np.arange(balls[0][0], len(growing.level.positions))]
     level = only(growing.level, kept)
@@ -161,25 +164,19 @@ def joined_face(
     return replace(level, face=face)
 
 
-def with_rim(growing: Growing, loop: Integer[Array, "n"], eye: Eye) -> Growing:
-    """With a rim from the lids' edge into the ball, in the color of that edge: else one would see past the lids."""
-    level, count = growing.level, len(loop)
-    edge = level.positions[loop].astype(np.float64)
-    inner = tucked(edge, edge, eye)
-    closed = (edge + growing.offsets[:, loop]).astype(np.float64)
-    deep = np.stack([tucked(shape, edge, eye) - inner for shape in closed]).astype(np.float32)
-    here, there = np.arange(count), np.roll(np.arange(count), -1)
-    faces = np.concatenate([
-        np.stack([here, there, here + count], 1), np.stack([there, there + count, here + count], 1)
-    ])  # fmt: skip
-    points = np.concatenate([edge, inner])
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    # it faces the opening's middle
-    if (np.cross(b - a, c - a) * (edge.mean(0) - a)).sum() < 0:
-        faces = faces[:, ::-1]
-    uv = level.uv[loop].astype(np.float64)
-    offsets = np.concatenate([growing.offsets[:, loop], deep], 1)
-    return growing.with_geometry(points, np.concatenate([uv, uv]), faces, offsets, loop)
+def with_rim(growing: Growing, edges: Integer[Array, "n 2"], eye: Eye) -> Growing:
+    """With a rim from the lids' `edges` into the ball, in the color of that edge: else one would see past the lids."""
+    level = growing.level
+    edge, number = np.unique(edges, return_inverse=True)
+    rest = level.positions[edge].astype(np.float64)
+    inner = tucked(rest, rest, eye)
+    moved = np.stack([tucked(rest + shape, rest, eye) - inner for shape in growing.offsets[:, edge]])
+    start = len(level.positions)
+    a, b = edges.T
+    a_in, b_in = number.reshape(-1, 2).T + start
+    faces = np.concatenate([np.stack([b, a, a_in], 1), np.stack([b, a_in, b_in], 1)])
+    uv = level.uv[edge].astype(np.float64)
+    return growing.with_geometry(inner, uv, faces, moved.astype(np.float32), edge)
 
 
 def tucked(edge: Float[Array, "n 3"], rest: Float[Array, "n 3"], eye: Eye) -> Float[Array, "n 3"]:

@@ -10,15 +10,18 @@ import numpy as np
 from jaxtyping import Float, Float32, Integer
 from numpy import ndarray as Array
 from scipy import ndimage
-from scipy.spatial import KDTree
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
 
 from avatar.face_template import BODY
 from bake.face.template import PersonFace
 from bake.texture.texels import barycentric, rasterise_charts, spread
-from geometry.mesh import blended
+from geometry.mesh import blended, half_edges
 
 # metres that the inside's edge lies behind the cut
 BEHIND = 0.0025
+# metres behind that edge at which nothing moves with it
+FADE = 0.03
 # sRGB: flesh at the lips and deep inside, gums, tongue, teeth at edge and neck, between two teeth
 FLESH, DEEP, GUM, TONGUE = (150, 78, 72), (30, 9, 10), (166, 88, 86), (172, 92, 92)
 TOOTH, NECK, GAP = (236, 226, 210), (222, 204, 180), (140, 108, 94)
@@ -42,49 +45,58 @@ def mouth_behind(
     person: PersonFace, upper: Float[Array, "k 3"], moves: tuple[Float32[Array, "52 k 3"], Float32[Array, "52 k 3"]]
 ) -> Mouth:
     """The mouth behind a cut along `upper`, right to left, whose upper and lower edge move by `moves`."""
-    face, inside = person.face, np.unique(person.face.inside)
+    face, inside, k = person.face, np.unique(person.face.inside), len(upper)
     where = np.full(BODY, -1)
     where[inside] = np.arange(len(inside))
-    points, parts = sewn_inside(person, upper, where)
-    k, uv = len(upper), face.inside_uv.astype(np.float64)
-    faces, start = [where[face.inside] + 2 * k], np.array([0, k])
-    sewn_uv = []
-    for number, half in enumerate(face.seam):
-        row = where[half]
-        along, own = _along(upper), _along(points[row])
-        nearest = row[np.abs(along[:, None] - own).argmin(1)]
-        sewn_uv.append(uv[nearest])
-        strip = zipped(along, own)
-        names = np.r_[start[number] + np.arange(k), row + 2 * k]
-        faces.append(names[strip if number == 0 else strip[:, ::-1]])
+    halves = (where[face.seam[0]], where[face.seam[1]])
+    places, forwards = sewn_inside(person, where[face.inside], halves, [states(upper, move) for move in moves])
+    parts = person.parts.copy()
+    parts[:, 2] += forwards * np.clip(1 - (parts[:, 2].max() - parts[:, 2]) / FADE, 0, 1)
+    faces, uv = [where[face.inside] + 2 * k], []
+    for number, half in enumerate(halves):
+        along, own = _along(upper), _along(person.inside[half])
+        uv.append(face.inside_uv[half[np.abs(along[:, None] - own).argmin(1)]])
+        strip = np.r_[number * k + np.arange(k), half + 2 * k][zipped(along, own)]
+        # seen from both sides: where a lip turns its skin away from the eye, its back is all that is behind it
+        faces += [strip, strip[:, ::-1]]
     faces.append(face.part_faces + 2 * k + len(inside))
-    offsets = [*moves, face.offsets[:, inside], face.offsets[:, BODY:]]
+    offsets = [*moves, (places[:, 1:] - places[:, :1]).transpose(1, 0, 2), face.offsets[:, BODY:]]
     return Mouth(
-        np.concatenate([upper, upper, points, parts]),
-        np.concatenate(offsets, 1),
-        np.concatenate([*sewn_uv, uv, face.part_uv]).astype(np.float64),
+        np.concatenate([upper, upper, places[:, 0], parts]),
+        np.concatenate(offsets, 1).astype(np.float32),
+        np.concatenate([*uv, face.inside_uv, face.part_uv]).astype(np.float64),
         np.concatenate(faces),
     )
 
 
+def states(points: Float[Array, "n 3"], offsets: Float32[Array, "52 n 3"]) -> Float[Array, "n 53 3"]:
+    """Where points lie at rest and at each shape."""
+    return np.concatenate([points[:, None], points[:, None] + offsets.transpose(1, 0, 2)], 1)
+
+
 def sewn_inside(
-    person: PersonFace, upper: Float[Array, "k 3"], where: Integer[Array, "body"]
-) -> tuple[Float[Array, "inside 3"], Float[Array, "parts 3"]]:
-    """The inside of the mouth, moved so that its edge lies behind the cut, and teeth and tongue as far to the front;
-    what is deeper moves less."""
-    points, face = person.inside.copy(), person.face
-    rows = np.unique(where[np.concatenate(face.seam)])
-    edge, target = points[rows], upper - [0.0, 0.0, BEHIND]
-    along = np.interp(edge[:, 0], edge[[edge[:, 0].argmin(), edge[:, 0].argmax()], 0], upper[[0, -1], 0])
-    move = np.stack([np.interp(along, upper[:, 0], target[:, axis]) for axis in range(3)], 1) - edge
-    away, near = KDTree(edge).query(points, k=4)
+    person: PersonFace, faces: Integer[Array, "faces 3"], halves: tuple[Integer[Array, "a"], Integer[Array, "b"]],
+    edges: list[Float[Array, "k 53 3"]],
+) -> tuple[Float[Array, "inside 53 3"], float]:  # fmt: skip
+    """The inside of the mouth at rest and at each shape, moved so that the halves of its edge lie behind the upper and
+    the lower one of the cut; what is deeper moves less. And how far that edge was moved to the front.
+    """
+    inside = np.unique(person.face.inside)
+    places = states(person.inside, person.face.offsets[:, inside])
+    rows, moved = np.concatenate(halves), []
+    for half, edge in zip(halves, edges):
+        along, own = _along(edge[:, 0]), _along(person.inside[half])
+        flat = edge.reshape(len(edge), -1)
+        behind = np.stack([np.interp(own, along, column) for column in flat.T], 1).reshape(len(half), -1, 3)
+        moved.append(behind - np.array([0, 0, BEHIND]) - places[half])
+    move = np.concatenate(moved)
+    pairs = half_edges(faces)
+    length = np.linalg.norm(person.inside[pairs[:, 0]] - person.inside[pairs[:, 1]], axis=1)
+    # along the surface, for at rest upper and lower wall touch
+    away = dijkstra(coo_matrix((length, pairs.T), shape=(len(places),) * 2).tocsr(), False, rows)
     weight = 1 / np.maximum(away, 1e-6) ** 2
-    forwards = float(np.median(move[:, 2]))
-    move = (weight[..., None] * move[near]).sum(1) / weight.sum(1, keepdims=True)
-    points += np.clip(1 - away[:, :1] / 0.03, 0, 1) * move
-    parts = person.parts.copy()
-    parts[:, 2] += forwards * np.clip(1 - (parts[:, 2].max() - parts[:, 2]) / 0.03, 0, 1)
-    return points, parts
+    spread_out = np.tensordot(weight.T / weight.sum(0)[:, None], move, 1)
+    return places + np.clip(1 - away.min(0) / FADE, 0, 1)[:, None, None] * spread_out, float(np.median(move[:, 0, 2]))
 
 
 def _along(points: Float[Array, "n 3"]) -> Float[Array, "n"]:
