@@ -18,6 +18,10 @@ OVER = 0.0003
 LIDS = 0.02
 # by how much less or more than the template's a lid moves, and metres along it over which that is smoothed
 FACTORS, ALONG = (0.05, 1.8), 0.0025
+# metres over the lower lid up to which skin is of the upper one; from twice as far on it moves as the template's
+BROWS = 0.012
+# metres of skin above the upper edge that make up for what it lacks
+ABOVE = 0.004
 STEPS = np.linspace(0, 1, 9)
 
 
@@ -42,26 +46,32 @@ def fitted_blink(
     Raises:
         FaceRefused: the template's blink does not close this eye.
     """
-    edge = points[loop] - center
+    edge, moved = points[loop] - center, blink[loop]
     upper = edges_of_lids(edge)
-    low = edge[~upper] + blink[loop[~upper]]
-    order = np.argsort(low[:, 0])
-    across, height = low[order, 0], low[order, 1]
-    top, moved = edge[upper], blink[loop[upper]]
-    wanted = top[:, 1] - np.interp(top[:, 0] + moved[:, 0], across, height) + OVER
-    factor = np.clip(wanted / np.maximum(-moved[:, 1], 1e-4), *FACTORS)
-    # corners hardly move: their factor says nothing
-    weight = np.maximum(-moved[:, 1], 0)
-    if not weight.max() > 0.002:
+    low = _by_x((edge + moved)[~upper])
+    top = edge[upper]
+    if not -moved[upper, 1].min() > 0.002:
         raise FaceRefused("its template's lids do not close over its eyes")
-    x, order = points[:, 0] - center[0], np.argsort(top[:, 0])
-    near = np.clip(x, top[:, 0].min(), top[:, 0].max())
-    kernel = np.exp(-0.5 * np.square((near[:, None] - top[None, order, 0]) / ALONG)) * weight[order] + 1e-12
-    scale = (kernel * factor[order]).sum(1) / kernel.sum(1)
-    beside = np.maximum(np.maximum(top[:, 0].min() - x, x - top[:, 0].max()), 0) / ALONG
-    scale = np.minimum(scale, 1 + (FACTORS[1] - 1) * np.clip(1 - beside, 0, 1))
-    of_upper = np.clip((points[:, 1] - center[1] - np.interp(x, across, height)) / 0.002, 0, 1)
-    return blink * (1 + of_upper * (scale - 1))[:, None]
+    wanted = top[:, 1] - np.interp(top[:, 0] + moved[upper, 0], low[:, 0], low[:, 1]) + OVER
+    weight = np.maximum(-moved[upper, 1], 1e-4)  # corners hardly move: their factor says nothing
+    x, height = points[:, 0] - center[0], points[:, 1] - center[1]
+    within = np.clip(x, top[:, 0].min(), top[:, 0].max())
+    kernel = np.exp(-0.5 * np.square((within[:, None] - top[:, 0]) / ALONG)) * weight + 1e-12
+    scale = (kernel * np.clip(wanted / weight, *FACTORS)).sum(1) / kernel.sum(1)
+    scale = np.minimum(scale, 1 + (FACTORS[1] - 1) * np.clip(1 - np.abs(x - within) / ALONG, 0, 1))
+    over_lower = height - np.interp(x, low[:, 0], low[:, 1])
+    of_upper = np.clip(over_lower / 0.002, 0, 1) * np.clip(2 - over_lower / BROWS, 0, 1)
+    fitted = blink * (1 + of_upper * (scale - 1))[:, None]
+    # what the edge still lacks, it gets with the skin just above it
+    lacks = _by_x(np.c_[top[:, 0], wanted + fitted[loop[upper], 1], top[:, 1]])
+    above = np.clip(1 - (height - np.interp(x, lacks[:, 0], lacks[:, 2])) / ABOVE, 0, 1) * of_upper
+    inwards = np.clip(np.minimum(x - lacks[0, 0], lacks[-1, 0] - x) / (0.5 * ALONG), 0, 1)
+    fitted[:, 1] -= above * inwards * np.interp(x, lacks[:, 0], lacks[:, 1])
+    return fitted
+
+
+def _by_x(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    return points[np.argsort(points[:, 0], kind="stable")]
 
 
 def outside(

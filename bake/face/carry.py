@@ -19,9 +19,13 @@ WITH, WITHOUT = 0.006, 0.016
 
 
 def carried(
-    level: Level, person: PersonFace, line: LipLine, lip: Integer[Array, "vertices"]
+    level: Level, person: PersonFace, line: LipLine, lip: Integer[Array, "vertices"], flat: bool = False
 ) -> Float32[Array, "52 vertices 3"]:
-    """What each shape moves the vertices of a level by; `lip` says of which lip each is (lips.py)."""
+    """What each shape moves the vertices of a level by; `lip` says of which lip each is (lips.py).
+
+    `flat`: the template's lids are not of this surface; what lies behind what then counts little.
+    """
+    squash = np.array([1, 1, 0.2]) if flat else np.ones(3)
     points, normals = level.positions.astype(np.float64), level.normals.astype(np.float64)
     offsets = np.zeros((len(SHAPES), len(points), 3), np.float32)
     low, high = (f(person.vertices[person.skin].reshape(-1, 3), axis=0) for f in (np.min, np.max))
@@ -30,7 +34,7 @@ def carried(
     every = person.face.offsets[:, :BODY].transpose(1, 0, 2).reshape(BODY, -1)
     for side in (-1, 0, 1):
         own, skin = rows[lip[rows] == side], person.skin[(faces != -side) | (side == 0)]
-        match = match_surface(points[own], normals[own], person.vertices, skin)
+        match = match_surface(squash * points[own], normals[own], squash * person.vertices, skin)
         share = np.clip((WITHOUT - match.distance) / (WITHOUT - WITH), 0, 1)
         share = share * share * (3 - 2 * share)
         moved = blended(every, skin[match.face], match.barycentric)

@@ -15,13 +15,20 @@ from scipy import ndimage
 
 from avatar.baked_avatar import Level
 from avatar.texture import sample_texture
-from bake.face.cut import chains, cut_along, extended, places
+from bake.face.cut import chains, cut_along, extended, places, refined
 from bake.face.template import FaceRefused, PersonFace
+from geometry.cells import nearest_marked
 from geometry.closest import closest_points, triangle_index
 from geometry.mesh import component_labels, half_edges
 
 # metres off the ball beyond which nothing is of it
 REACH = 0.012
+# metres off the ball: a surface in front of its middle that is nearer is the ball's
+BALL = 0.0015
+# metres of an edge beside an eye that is painted on the surface, at most
+LONGEST = 0.0025
+# width and height of its opening beside the template's
+PAINTED = np.array([1.2, 1.25])
 # radians from the axis to the edge of the cap: seen through the lids when it turns by 20 degrees
 CAP = np.radians(105.0)
 RINGS, SPOKES = 14, 32
@@ -29,8 +36,8 @@ RINGS, SPOKES = 14, 32
 WITHIN = 0.0001
 # radians from the lids' edge within which a picture shows lids and lashes; over which what was seen fades into the fill
 EDGE, FADE = np.radians(2.0), np.radians(4.0)
-# sRGB: the white of an eye differs by less from its median; one that was not seen
-STAIN, WHITE = 0.1, (0.76, 0.73, 0.71)
+# sRGB: the white of an eye differs by less from its median; one that was not seen; skin is more colorful
+STAIN, WHITE, COLORFUL = 0.1, (0.66, 0.63, 0.61), 0.13
 # radians: the iris ends between these; axes tried to either side of straight on
 IRIS = (np.radians(20.0), np.radians(40.0))
 AXES = np.radians(np.arange(-10, 10.5, 1.0))
@@ -42,6 +49,7 @@ class OpenEye(NamedTuple):
     level: Level
     loop: Integer[Array, "n"]  # vertices along the lids' edge, in order, the first not again; one of each place
     edge: Integer[Array, "m 2"]  # the lids' own edges there, as their faces run
+    filmed: bool  # the surface was the ball's; else the eye was painted on it
     ball: Integer[Array, "faces 3"]  # by the level's vertices
 
 
@@ -51,15 +59,23 @@ def cut_ball(level: Level, person: PersonFace, center: Float[Array, "3"], radius
     Raises:
         FaceRefused: there is no ball between the lids, or its edge is no loop.
     """
+    filmed = shows_ball(level, center, radius)
+    if not filmed:
+        level = refined(level, lambda points: np.linalg.norm(points - center, axis=1) < 1.7 * radius, LONGEST)
     points, faces = level.positions.astype(np.float64), level.faces.astype(np.int64)
     offset = points - center
     away = np.abs(np.linalg.norm(offset, axis=1) - radius)
     rows = np.flatnonzero((away < REACH) & (offset[:, 2] > 0))
-    corners = person.vertices[person.skin] - center
-    near = (np.linalg.norm(corners, axis=2) < radius + 3 * REACH).all(1)
-    lids = closest_points(points[rows], triangle_index(person.vertices, person.skin[near])).distance
     value = np.ones(len(points))
-    value[rows] = away[rows] - lids
+    if filmed:
+        corners = person.vertices[person.skin] - center
+        near = (np.linalg.norm(corners, axis=2) < radius + 3 * REACH).all(1)
+        lids = closest_points(points[rows], triangle_index(person.vertices, person.skin[near])).distance
+        value[rows] = away[rows] - lids
+    else:
+        own = person.face.lids[0 if center[0] > person.eyes.centres[:, 0].mean() else 1]
+        loop = person.vertices[np.r_[own[0], own[1][-2:0:-1]], :2]
+        value[rows] = beyond_loop(points[rows, :2], center[:2] + PAINTED * (loop - center[:2]))
     value = only_front(value, offset, places(points), faces)
     cut = cut_along(faces, value)
     grown, count = extended(level, cut.edges, cut.share), len(points)
@@ -73,13 +89,34 @@ def cut_ball(level: Level, person: PersonFace, center: Float[Array, "3"], radius
     kept = cut.faces[cut.side > 0].astype(np.uint32)
     own = half_edges(cut.faces[cut.side > 0])
     own = own[(own >= count).all(1) & np.isin(place[own], place[loop]).all(1)]
-    return OpenEye(replace(grown, faces=kept), loop, own[lonely(place[own])], cut.faces[cut.side < 0])
+    return OpenEye(replace(grown, faces=kept), loop, own[lonely(place[own])], filmed, cut.faces[cut.side < 0])
 
 
 def lonely(edges: Integer[Array, "n 2"]) -> Bool[Array, "n"]:
     """Which directed edges have none against them."""
     last = int(edges.max()) + 1
     return ~np.isin(edges[:, 0] * last + edges[:, 1], edges[:, 1] * last + edges[:, 0])
+
+
+def shows_ball(level: Level, center: Float[Array, "3"], radius: float) -> bool:
+    """Whether the surface between the lids is the ball's; else the eye is painted on a surface that goes on."""
+    offset = level.positions - center
+    ahead = (offset[:, 2] > 0) & (np.hypot(offset[:, 0], offset[:, 1]) < 0.3 * radius)
+    off = np.abs(np.linalg.norm(offset[ahead], axis=1) - radius)
+    return bool(ahead.any() and np.median(off) < BALL)
+
+
+def beyond_loop(points: Float[Array, "n 2"], loop: Float[Array, "m 2"]) -> Float[Array, "n"]:
+    """Distance of points from a closed line in the plane, negative inside of it."""
+    start, along = loop, np.roll(loop, -1, 0) - loop
+    offset = points[:, None] - start
+    share = np.clip((offset * along).sum(2) / (along**2).sum(1), 0, 1)
+    away = np.linalg.norm(offset - share[..., None] * along, axis=2).min(1)
+    y0, y1 = loop[:, 1], np.roll(loop[:, 1], -1)
+    between = (y0 > points[:, 1:]) != (y1 > points[:, 1:])
+    crossing = loop[:, 0] + (points[:, 1:] - y0) / np.where(y1 == y0, 1, y1 - y0) * along[:, 0]
+    inside = (between & (points[:, :1] < crossing)).sum(1) % 2 == 1
+    return np.where(inside, -away, away)
 
 
 def only_front(
@@ -186,20 +223,27 @@ def iris_picture(
     edge = opened.level.positions.astype(np.float64)[opened.loop] - center
     edge /= np.linalg.norm(edge, axis=1, keepdims=True)
     inside = np.arccos(np.clip(directions @ edge.T, -1, 1)).min(1).reshape(height, width)
-    share = np.where(np.isnan(colors[..., 0]), 0, np.clip((inside - EDGE) / FADE, 0, 1))
+    # a painted eye's own lids are the picture's
+    share = np.clip((inside - EDGE) / FADE, 0, 1) if opened.filmed else 1.0
+    share = np.where(np.isnan(colors[..., 0]), 0, share)
     unknown, colors = np.isnan(colors), np.nan_to_num(colors)
     fill = filled_rings(colors, share > 0.5)
     # what stands out from the white is of the lids' corner
+    stain = STAIN if opened.filmed else 3 * STAIN
     white = (np.arange(height) + 0.5) / height * CAP > IRIS[1]
-    share *= np.where(white[:, None], np.clip(2 - np.abs(colors - fill).max(2) / STAIN, 0, 1), 1)
+    share *= np.where(white[:, None], np.clip(2 - np.abs(colors - fill).max(2) / stain, 0, 1), 1)
     share = ndimage.gaussian_filter(share, 1.0, mode="nearest")[..., None]
+    if not opened.filmed:
+        # its lids lie before the ball: past them one sees on
+        beside = np.clip(1 - inside / (3 * FADE), 0, 1)[..., None]
+        fill = np.where(unknown, beside * colors[nearest_marked(~unknown[..., 0])] + (1 - beside) * fill, fill)
     return np.where(unknown, fill, share * colors + (1 - share) * fill)
 
 
 def filled_rings(
     colors: Float[Array, "height width 3"], known: Bool[Array, "height width"]
 ) -> Float[Array, "height width 3"]:
-    """Each ring the median of what is known of it; beyond the iris the color of the white that is known."""
+    """Each ring the median of what is known of it; beyond the iris a bright color of what is known of the white."""
     height = len(colors)
     ring = np.array([np.median(row[own], 0) if own.sum() > 4 else [np.nan] * 3 for row, own in zip(colors, known)])
     rows = np.arange(height)
@@ -211,7 +255,8 @@ def filled_rings(
     step = np.where((at > IRIS[0]) & (at < IRIS[1]), np.gradient(ndimage.gaussian_filter1d(ring.mean(1), 2.0)), -1)
     edge = int(step.argmax()) + int(np.radians(4) / CAP * height)
     beyond = known & (np.arange(height) > edge)[:, None]
-    white = np.median(colors[beyond], 0) if beyond.sum() > 20 else np.array(WHITE)
+    beyond &= np.ptp(colors, axis=2) < COLORFUL
+    white = np.percentile(colors[beyond], 70, axis=0) if beyond.sum() > 20 else np.array(WHITE)
     over = np.clip((rows - edge) / 4, 0, 1)[:, None]
     # the ball is round: its light falls off from where it looks at the lids' corners
     round_off = 1 - 0.45 * np.clip((at - at[edge]) / np.radians(40.0), 0, 1)[:, None] * np.array([0.8, 1.05, 1.1])

@@ -17,6 +17,7 @@ from bake.face.blink import LIDS, fitted_blink, outside, pushed_out
 from bake.face.carry import carried
 from bake.face.cut import MEANS, joined
 from bake.face.eyes import WITHIN, OpenEye, cap, cut_ball, eye_axis, iris_picture
+from bake.face.features import aligned
 from bake.face.lips import LipLine, cut_lips, lip_line
 from bake.face.mouth import Mouth, mouth_behind, mouth_picture
 from bake.face.strip import LEFT_EYE, MOUTH, RIGHT_EYE, Place, size_in, uv_in, with_strip
@@ -84,6 +85,7 @@ def with_face(levels: Sequence[Level], person: PersonFace) -> Faced:
     Raises:
         FaceRefused: this surface takes none; the sentence says why.
     """
+    person = aligned(person, levels[0])
     line, out = lip_line(person), list(levels)
     pictures: dict[Place, Float[Array, "height width 3"]] = {}
     eyes: list[Eye] = []
@@ -117,7 +119,7 @@ def parted(level: Level, person: PersonFace, line: LipLine) -> Parted:
         opened.append(cut_ball(level, person, center, float(radius)))
         level = opened[-1].level
     lip = np.r_[cut.lip, np.zeros(len(level.positions) - len(cut.lip), np.int64)]
-    offsets = carried(level, person, line, lip)
+    offsets = carried(level, person, line, lip, flat=not all(one.filmed for one in opened))
     points = level.positions.astype(np.float64)
     used = np.unique(level.faces)
     for side, one, center, radius in zip(SIDES, opened, *person.eyes):

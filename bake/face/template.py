@@ -16,7 +16,7 @@ from avatar.body import builtin_body
 from avatar.face_template import BODY, FaceTemplate, builtin_face
 from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from capture.folder import CaptureSubject
-from capture.template.eyes import EyeSpheres, eye_spheres, socket_spheres
+from capture.template.eyes import EyeSpheres, body_sockets, eye_spheres, socket_spheres
 
 # metres round the middle of the mouth in which lips are mended, and inside of which the whole mouth moves alike
 NEAR_MOUTH = 0.045
@@ -36,7 +36,7 @@ class PersonFace(NamedTuple):
 
     face: FaceTemplate
     vertices: Float[Array, "body 3"]  # the template's, the mouth mended
-    # those of its skin and of the sockets that a shape may move, without the inside of the mouth
+    # those of its skin that a shape may move, without the inside of the mouth and the eye sockets
     skin: Integer[Array, "skin 3"]
     # of the vertices of face.inside, ascending, and of face.parts
     inside: Float[Array, "inside 3"]
@@ -55,9 +55,11 @@ def person_face(subject: CaptureSubject) -> PersonFace:
     own = subject.faces[(subject.faces < BODY).all(1)]
     if len(subject.vertices) < BODY or len(own) < 0.9 * len(body.faces) or not np.isin(key(own), key(body.faces)).all():
         raise FaceRefused("its template is not of the built-in body")
-    of_mouth = np.isin(key(body.faces), key(face.inside))
+    hidden = np.isin(key(body.faces), key(face.inside))
+    for socket in body_sockets():
+        hidden |= np.isin(body.faces, socket.inside).all(1)
     moves = (face.offsets[:, :BODY] != 0).any((0, 2))
-    skin = body.faces[~of_mouth & moves[body.faces].any(1)]
+    skin = body.faces[~hidden & moves[body.faces].any(1)]
     inside = np.unique(face.inside)
     middle = body.vertices[np.concatenate(face.seam)].mean(0)
     near = np.setdiff1d(np.unique(skin), inside)
