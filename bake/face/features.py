@@ -74,23 +74,29 @@ class FrontPicture(NamedTuple):
     points: Float[Array, "height width 3"]  # canonical, metres
     low: Float[Array, "2"]  # x of the first column's and y of the last row's middle
 
-    def column(self, x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    def column(self, x: Float[Array, "n"]) -> Float[Array, "n"]:
         """Columns of places."""
         return (x - self.low[0]) / PIXEL
 
-    def row(self, y: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    def row(self, y: Float[Array, "n"]) -> Float[Array, "n"]:
         """Rows of places."""
         return len(self.light) - 1 - (y - self.low[1]) / PIXEL
 
 
-def front_picture(level: Level, low: Float[Array, "3"], high: Float[Array, "3"]) -> FrontPicture:
-    """The part of a level between two corners of a box, seen from the front, a pixel PIXEL wide."""
+def front_camera(low: Float[Array, "3"], high: Float[Array, "3"]) -> Camera:
+    """A camera in front of a box, so far that it is as good as parallel, a pixel PIXEL wide; depth is FAR at z = high."""
     width, height = (int(np.ceil((high[k] - low[k]) / PIXEL)) + 1 for k in (0, 1))
     middle = low[:2] + 0.5 * PIXEL * np.array([width - 1, height - 1])
     to_camera = np.diag([1.0, -1.0, -1.0, 1.0])
     to_camera[:3, 3] = [-middle[0], middle[1], FAR + high[2]]
-    focal = (FAR + high[2] - 0.5 * (low[2] + high[2])) / PIXEL
-    camera = Camera(np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]), to_camera, (width, height))
+    focal = (FAR + 0.5 * (high[2] - low[2])) / PIXEL
+    return Camera(np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]), to_camera, (width, height))
+
+
+def front_picture(level: Level, low: Float[Array, "3"], high: Float[Array, "3"]) -> FrontPicture:
+    """The part of a level between two corners of a box, seen from the front, a pixel PIXEL wide."""
+    camera = front_camera(low, high)
+    height = camera.size[1]
     points, faces = level.positions.astype(np.float64), level.faces.astype(np.int64)
     corners = points[faces]
     faces = faces[((corners > low - 0.01) & (corners < high + 0.01)).all((1, 2))]
@@ -113,7 +119,8 @@ def front_picture(level: Level, low: Float[Array, "3"], high: Float[Array, "3"])
 def lips_off(picture: FrontPicture, x: Float[Array, "n"], y: Float[Array, "n"]) -> Float[Array, "n"]:
     """How far above the line x, y the darkest way across the mouth lies; x rises."""
     light = ndimage.gaussian_filter(np.nan_to_num(picture.light, nan=1.0), 1.0)
-    columns = np.arange(int(np.ceil(picture.column(x[0]))), int(picture.column(x[-1])) + 1)
+    first, last = picture.column(x[[0, -1]])
+    columns = np.arange(int(np.ceil(first)), int(last) + 1)
     line = picture.row(np.interp(picture.low[0] + PIXEL * columns, x, y))
     reach = int(LIPS / PIXEL)
     steps = np.arange(-reach, reach + 1)
