@@ -25,8 +25,8 @@ FADE = 0.03
 # sRGB: flesh at the lips and deep inside, gums, tongue, teeth at edge and neck, between two teeth
 FLESH, DEEP, GUM, TONGUE = (150, 78, 72), (30, 9, 10), (166, 88, 86), (172, 92, 92)
 TOOTH, NECK, GAP = (236, 226, 210), (222, 204, 180), (140, 108, 94)
-# metres behind the lips at which light has fallen by a factor of e
-DARK = 0.022
+# metres behind the lips up to which it is light, and in which light then falls by a factor of e; the least light
+LIT, DARK, NIGHT = 0.007, 0.014, 0.12
 # where a tooth ends on the way from the outer gum to the inner one; widths of teeth along half an arch, mm
 CROWN, EDGE = 0.36, 2 / 3
 UPPER_WIDTHS, LOWER_WIDTHS = (8.6, 6.8, 7.8, 7.0, 7.0, 10.0), (5.3, 5.9, 6.9, 7.0, 7.2, 11.0)
@@ -131,7 +131,7 @@ def mouth_picture(person: PersonFace, mouth: Mouth, size: tuple[int, int]) -> Fl
     part = np.where(corners[:, 0] < first, -1, part)
     lips = mouth.points[: (first - len(person.inside)) // 2]
     depth = np.maximum(np.interp(points[:, 0], lips[:, 0], lips[:, 2]) - points[:, 2], 0)
-    light = np.exp(-depth / DARK)[:, None]
+    light = (NIGHT + (1 - NIGHT) * np.exp(-np.maximum(depth - LIT, 0) / DARK))[:, None]
     color = np.empty((len(points), 3))
     own = part < 0
     color[own] = mixed(DEEP, FLESH, np.exp(-depth[own] / 0.012))
@@ -139,10 +139,10 @@ def mouth_picture(person: PersonFace, mouth: Mouth, size: tuple[int, int]) -> Fl
     for number, widths in enumerate((UPPER_WIDTHS, LOWER_WIDTHS)):
         own = part == number
         low, high = (f(uv[own], axis=0) for f in (np.min, np.max))
-        color[own] = teeth_colors((uv[own] - low) / (high - low), widths) * (0.3 + 0.7 * light[own])
+        color[own] = teeth_colors((uv[own] - low) / (high - low), widths) * light[own]
     own = part == 2
     groove = np.exp(-np.square((points[own, 0] - np.median(points[own, 0])) / 0.0015))[:, None]
-    color[own] = np.array(TONGUE) * (1 - 0.15 * groove) * (0.3 + 0.7 * light[own])
+    color[own] = np.array(TONGUE) * (1 - 0.15 * groove) * np.sqrt(light[own])
     image = spread(color / 255, texels)[:height]
     return ndimage.gaussian_filter(image, (0.4, 0.4, 0))
 
