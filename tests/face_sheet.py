@@ -1,4 +1,4 @@
-"""A surface as a bake would have it, without baking: the built-in head from the front, with closed lips and eyeballs."""
+"""A surface as a bake would have it, without baking: the built-in face from the front, lips closed, with eyeballs."""
 
 from typing import NamedTuple
 

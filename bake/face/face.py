@@ -26,8 +26,8 @@ from geometry.mesh import vertex_normals
 
 # levels, from the finest on, whose triangles are fine enough for lips and lids
 LEVELS = 2
-# metres: less is no motion
-STILL = 2e-5
+# metres: less is no motion, and takes no bytes
+STILL = 1e-4
 # metres that the rim of the lids reaches into the ball, and behind the lids
 RIM_IN, RIM_UNDER = 0.0006, 0.0015
 
@@ -160,7 +160,8 @@ def joined_face(
     kept = np.r_[still, np.arange(balls[0][0], len(growing.level.positions))]
     level = only(growing.level, kept)
     offsets = growing.offsets[:, kept]
-    vertices = np.flatnonzero((np.linalg.norm(offsets, axis=2) > STILL).any(0))
+    offsets = np.where(np.linalg.norm(offsets, axis=2, keepdims=True) > STILL, offsets, np.float32(0))
+    vertices = np.flatnonzero(offsets.any((0, 2)))
     first = np.array(balls) - [[balls[0][0] - len(still), 0]]
     face = FaceShapes(vertices.astype(np.uint32), offsets[:, vertices], first.astype(np.uint32))
     return replace(level, face=face)

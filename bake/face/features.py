@@ -84,7 +84,7 @@ class FrontPicture(NamedTuple):
 
 
 def front_camera(low: Float[Array, "3"], high: Float[Array, "3"]) -> Camera:
-    """A camera in front of a box, so far that it is as good as parallel, a pixel PIXEL wide; depth is FAR at z = high."""
+    """A camera before a box, so far that it is as good as parallel, a pixel PIXEL wide; depth is FAR at z = high."""
     width, height = (int(np.ceil((high[k] - low[k]) / PIXEL)) + 1 for k in (0, 1))
     middle = low[:2] + 0.5 * PIXEL * np.array([width - 1, height - 1])
     to_camera = np.diag([1.0, -1.0, -1.0, 1.0])

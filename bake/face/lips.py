@@ -19,9 +19,9 @@ DEEP = 0.018
 # metres that the cut ends before the corners of the mouth
 SHORT = 0.0005
 # metres from the line within which edges are made no longer than this
-FINE, LONGEST = 0.003, 0.0018
+FINE, LONGEST = 0.003, 0.002
 # vertices of a cut: fewer open as a wedge
-LEAST = 16
+LEAST = 12
 STEPS = 200
 
 

@@ -1,4 +1,4 @@
-"""A face on a sheet before the built-in head: cuts, lips, eyes, blinks, the atlas's strip, and templates that get none."""
+"""A face on a sheet before the built-in head: cuts, lips, eyes, blinks, the strip, and templates that get none."""
 
 from dataclasses import replace
 
