@@ -24,7 +24,7 @@ from geometry.mesh import component_labels, half_edges
 # metres off the ball beyond which nothing is of it
 REACH = 0.012
 # metres off the ball: a surface in front of its middle that is nearer is the ball's
-BALL = 0.0015
+BALL = 0.0018
 # metres of an edge beside an eye that is painted on the surface, at most
 LONGEST = 0.0025
 # width and height of its opening beside the template's
@@ -49,7 +49,7 @@ class OpenEye(NamedTuple):
     level: Level
     loop: Integer[Array, "n"]  # vertices along the lids' edge, in order, the first not again; one of each place
     edge: Integer[Array, "m 2"]  # the lids' own edges there, as their faces run
-    filmed: bool  # the surface was the ball's; else the eye was painted on it
+    filmed: bool  # as PersonFace has it
     ball: Integer[Array, "faces 3"]  # by the level's vertices
 
 
@@ -59,15 +59,14 @@ def cut_ball(level: Level, person: PersonFace, center: Float[Array, "3"], radius
     Raises:
         FaceRefused: there is no ball between the lids, or its edge is no loop.
     """
-    filmed = shows_ball(level, center, radius)
-    if not filmed:
+    if not person.filmed:
         level = refined(level, lambda points: np.linalg.norm(points - center, axis=1) < 1.7 * radius, LONGEST)
     points, faces = level.positions.astype(np.float64), level.faces.astype(np.int64)
     offset = points - center
     away = np.abs(np.linalg.norm(offset, axis=1) - radius)
     rows = np.flatnonzero((away < REACH) & (offset[:, 2] > 0))
     value = np.ones(len(points))
-    if filmed:
+    if person.filmed:
         corners = person.vertices[person.skin] - center
         near = (np.linalg.norm(corners, axis=2) < radius + 3 * REACH).all(1)
         lids = closest_points(points[rows], triangle_index(person.vertices, person.skin[near])).distance
@@ -89,7 +88,7 @@ def cut_ball(level: Level, person: PersonFace, center: Float[Array, "3"], radius
     kept = cut.faces[cut.side > 0].astype(np.uint32)
     own = half_edges(cut.faces[cut.side > 0])
     own = own[(own >= count).all(1) & np.isin(place[own], place[loop]).all(1)]
-    return OpenEye(replace(grown, faces=kept), loop, own[lonely(place[own])], filmed, cut.faces[cut.side < 0])
+    return OpenEye(replace(grown, faces=kept), loop, own[lonely(place[own])], person.filmed, cut.faces[cut.side < 0])
 
 
 def lonely(edges: Integer[Array, "n 2"]) -> Bool[Array, "n"]:

@@ -119,7 +119,7 @@ def parted(level: Level, person: PersonFace, line: LipLine) -> Parted:
         opened.append(cut_ball(level, person, center, float(radius)))
         level = opened[-1].level
     lip = np.r_[cut.lip, np.zeros(len(level.positions) - len(cut.lip), np.int64)]
-    offsets = carried(level, person, line, lip, flat=not all(one.filmed for one in opened))
+    offsets = carried(level, person, line, lip, flat=not person.filmed)
     points = level.positions.astype(np.float64)
     used = np.unique(level.faces)
     for side, one, center, radius in zip(SIDES, opened, *person.eyes):

@@ -51,7 +51,8 @@ def aligned(person: PersonFace, level: Level) -> PersonFace:
     up = lips_off(picture, line.x, line.y)
     places = np.stack(line, 1)[:: len(up) // 10]
     moves = np.stack([np.zeros(len(up)), up, np.zeros(len(up))], 1)[:: len(up) // 10]
-    if not all(shows_ball(level, center, float(radius)) for center, radius in zip(*eyes)):
+    filmed = all(shows_ball(level, center, float(radius)) for center, radius in zip(*eyes))
+    if not filmed:
         irises = irises_at(picture, eyes.centres)
         middles = irises - [0, 0, 1] * (eyes.radii[:, None] + UNDER)
         moves = np.concatenate([moves, np.repeat(middles - eyes.centres, 5, 0)])
@@ -63,7 +64,11 @@ def aligned(person: PersonFace, level: Level) -> PersonFace:
         return points + near @ moves / (near.sum(1, keepdims=True) + 0.05)
 
     return person._replace(
-        vertices=moved(person.vertices), inside=moved(person.inside), parts=moved(person.parts), eyes=eyes
+        vertices=moved(person.vertices),
+        inside=moved(person.inside),
+        parts=moved(person.parts),
+        eyes=eyes,
+        filmed=filmed,
     )
 
 

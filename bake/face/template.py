@@ -42,6 +42,8 @@ class PersonFace(NamedTuple):
     inside: Float[Array, "inside 3"]
     parts: Float[Array, "parts 3"]
     eyes: EyeSpheres
+    # the surface shows the balls between the lids; else eyes are painted on a surface that goes on
+    filmed: bool = True
 
 
 def person_face(subject: CaptureSubject) -> PersonFace:
