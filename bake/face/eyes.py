@@ -23,8 +23,8 @@ from geometry.mesh import component_labels, half_edges
 
 # metres off the ball beyond which nothing is of it
 REACH = 0.012
-# metres off the ball: a surface in front of its middle that is nearer is the ball's
-BALL = 0.0018
+# metres off the ball within which vertices are on it, and how many of them before its middle make it a surface's own
+BALL, SEEN = 0.0003, 8
 # metres of an edge beside an eye that is painted on the surface, at most
 LONGEST = 0.0025
 # width and height of its opening beside the template's
@@ -100,9 +100,9 @@ def lonely(edges: Integer[Array, "n 2"]) -> Bool[Array, "n"]:
 def shows_ball(level: Level, center: Float[Array, "3"], radius: float) -> bool:
     """Whether the surface between the lids is the ball's; else the eye is painted on a surface that goes on."""
     offset = level.positions - center
-    ahead = (offset[:, 2] > 0) & (np.hypot(offset[:, 0], offset[:, 1]) < 0.3 * radius)
+    ahead = (offset[:, 2] > 0) & (np.hypot(offset[:, 0], offset[:, 1]) < 0.7 * radius)
     off = np.abs(np.linalg.norm(offset[ahead], axis=1) - radius)
-    return bool(ahead.any() and np.median(off) < BALL)
+    return int((off < BALL).sum()) >= SEEN
 
 
 def beyond_loop(points: Float[Array, "n 2"], loop: Float[Array, "m 2"]) -> Float[Array, "n"]:
