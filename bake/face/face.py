@@ -31,6 +31,8 @@ STILL = 1e-4
 # metres that the rim of the lids reaches into the ball, and behind the lids
 RIM_IN, RIM_UNDER = 0.0006, 0.0015
 
+# texels a side of an atlas below which there are 16 rows for the pictures
+SMALLEST = 256
 HEAD = JOINTS.index("head")
 EYES = (LEFT_EYE, RIGHT_EYE)
 
@@ -92,6 +94,8 @@ def with_face(levels: Sequence[Level], person: PersonFace) -> Faced:
     for number, level in enumerate(levels[:LEVELS]):
         texels = len(level.base_color)
         try:
+            if texels < SMALLEST:
+                raise FaceRefused(f"its atlas of {texels} texels a side has no room for it")
             parts = parted(level, person, line)
         except FaceRefused:
             if number == 0:

@@ -172,6 +172,11 @@ def test_a_painted_eye_gets_a_ball_behind_it():
         np.testing.assert_allclose(eye.center - center, [0, 0, 0.004], atol=0.0015)
 
 
+def test_an_atlas_too_small_for_the_pictures_gets_no_face():
+    with pytest.raises(FaceRefused, match="no room"):
+        with_face([replace(SHEET.level, base_color=SHEET.level.base_color[::4, ::4])], SHEET.person)
+
+
 def test_another_template_gets_no_face():
     with pytest.raises(FaceRefused, match="not of the built-in body"):
         person_face(replace(SHEET.subject, faces=SHEET.subject.faces[:, [1, 2, 0]]))
