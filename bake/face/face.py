@@ -26,6 +26,8 @@ from geometry.mesh import vertex_normals
 
 # levels, from the finest on, whose triangles are fine enough for lips and lids
 LEVELS = 2
+# times that a blink is fitted and kept off the ball: what pushes lids out also parts their edges
+ROUNDS = 3
 # metres: less is no motion, and takes no bytes
 STILL = 1e-4
 # metres that the rim of the lids reaches into the ball, and behind the lids
@@ -129,8 +131,10 @@ def parted(level: Level, person: PersonFace, line: LipLine) -> Parted:
     for side, one, center, radius in zip(SIDES, opened, *person.eyes):
         near = used[(np.linalg.norm(points[used] - center, axis=1) < LIDS) & (points[used, 2] > center[2])]
         points[near] = pushed_out(points[near], center, float(radius))
-        blink = SHAPES.index(f"eyeBlink{side.title()}")
-        offsets[blink] = fitted_blink(points, offsets[blink], one.loop, center)
+        blink = offsets[SHAPES.index(f"eyeBlink{side.title()}")]
+        for _ in range(ROUNDS):
+            blink[:] = fitted_blink(points, blink, one.loop, center)
+            blink[near] = outside(points[near], blink[near], center, float(radius))
         for shape in offsets:
             moved = near[np.linalg.norm(shape[near], axis=1) > STILL]
             shape[moved] = outside(points[moved], shape[moved], center, float(radius))
