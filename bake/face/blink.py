@@ -18,7 +18,7 @@ OVER = 0.0003
 LIDS = 0.02
 # by how much less or more than the template's a lid moves, and metres along it over which that is smoothed
 FACTORS, ALONG = (0.05, 1.8), 0.0025
-# metres over the lower lid up to which skin is of the upper one; from twice as far on it moves as the template's
+# metres over the lower lid up to which skin is of the upper one; from twice as far on nothing of it moves: brows stay
 BROWS = 0.012
 # metres of skin above the upper edge that make up for what it lacks
 ABOVE = 0.004
@@ -53,15 +53,19 @@ def fitted_blink(
     if not -moved[upper, 1].min() > 0.002:
         raise FaceRefused("its template's lids do not close over its eyes")
     wanted = top[:, 1] - np.interp(top[:, 0] + moved[upper, 0], low[:, 0], low[:, 1]) + OVER
-    weight = np.maximum(-moved[upper, 1], 1e-4)  # corners hardly move: their factor says nothing
+    down = np.maximum(-moved[upper, 1], 1e-4)
+    # corners hardly move: their factor says nothing
+    corner = np.minimum(top[:, 0] - top[:, 0].min(), top[:, 0].max() - top[:, 0])
+    weight = down * np.clip(corner / ALONG, 0.01, 1)
     x, height = points[:, 0] - center[0], points[:, 1] - center[1]
     within = np.clip(x, top[:, 0].min(), top[:, 0].max())
     kernel = np.exp(-0.5 * np.square((within[:, None] - top[:, 0]) / ALONG)) * weight + 1e-12
-    scale = (kernel * np.clip(wanted / weight, *FACTORS)).sum(1) / kernel.sum(1)
+    scale = (kernel * np.clip(wanted / down, *FACTORS)).sum(1) / kernel.sum(1)
     scale = np.minimum(scale, 1 + (FACTORS[1] - 1) * np.clip(1 - np.abs(x - within) / ALONG, 0, 1))
     over_lower = height - np.interp(x, low[:, 0], low[:, 1])
-    of_upper = np.clip(over_lower / 0.002, 0, 1) * np.clip(2 - over_lower / BROWS, 0, 1)
-    fitted = blink * (1 + of_upper * (scale - 1))[:, None]
+    below_brow = np.clip(2 - over_lower / BROWS, 0, 1)
+    of_upper = np.clip(over_lower / 0.002, 0, 1) * below_brow
+    fitted = blink * (below_brow * (1 + of_upper * (scale - 1)))[:, None]
     # what the edge still lacks, it gets with the skin just above it
     lacks = _by_x(np.c_[top[:, 0], wanted + fitted[loop[upper], 1], top[:, 1]])
     above = np.clip(1 - (height - np.interp(x, lacks[:, 0], lacks[:, 2])) / ABOVE, 0, 1) * of_upper

@@ -14,7 +14,7 @@ BUDGET = {
     "geometry": 1_728,
     "capture": 11_265,
     "train": 5_365,
-    "bake": 5_855,
+    "bake": 5_863,
     "player": 17_755,
     "shaders": 971,
     "synth": 2_688,
