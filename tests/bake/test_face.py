@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from face_sheet import IRIS, WHITE, face_sheet
+from tiny_avatar import tiny_avatar
 
 from avatar.face import SHAPES
 from avatar.texture import sample_texture
+from bake.bake import _Clock, faced
 from bake.face.cut import chains, cut_along, divided_faces
 from bake.face.eyes import CAP, eye_axis, iris_picture
 from bake.face.face import parted, with_face
@@ -180,6 +182,13 @@ def test_an_atlas_too_small_for_the_pictures_gets_no_face():
 def test_another_template_gets_no_face():
     with pytest.raises(FaceRefused, match="not of the built-in body"):
         person_face(replace(SHEET.subject, faces=SHEET.subject.faces[:, [1, 2, 0]]))
+
+
+def test_a_bake_says_once_why_a_face_stays_still():
+    avatar, lines = tiny_avatar(), []
+    other = replace(SHEET.subject, faces=SHEET.subject.faces[:, [1, 2, 0]])
+    assert faced(avatar, other, _Clock(lines.append)) is avatar
+    assert lines == ["face: stays still, its template is not of the built-in body"]
 
 
 def test_lips_are_mended_where_few_vertices_are_torn_and_refused_where_most_are():
