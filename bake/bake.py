@@ -19,6 +19,8 @@ from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
 from bake.cores import one_thread
+from bake.face.face import with_face
+from bake.face.template import FaceRefused, person_face
 from bake.field import NumpyField, numpy_field
 from bake.layers import SurfaceLayer, collapsed, extract_layers, layered_data, layers_of
 from bake.level import (
@@ -142,6 +144,8 @@ def bake_run(
     clock(f"textures from the {facts['texture_from']}: chart edges step p99 {steps} of 255 beyond the picture's own")
     facts["default_view"] = {"mode": distilled.default_view, "reason": distilled.reason}
     clock(f"default view: {distilled.default_view} ({distilled.reason})")
+    if "face" not in options.without:
+        avatar = faced(avatar, run.subject, clock)
     return written(avatar, out, facts, options, clock)
 
 
@@ -226,6 +230,18 @@ def written(avatar: Avatar, out: Path, facts: Facts, options: BakeOptions, clock
     for line in facts["missed"]:
         clock.report(f"missed: {line}")
     return avatar
+
+
+def faced(avatar: Avatar, subject: CaptureSubject, clock: "_Clock") -> Avatar:
+    """The avatar with a face that moves, where its template and its surface have what that takes."""
+    try:
+        found = with_face(avatar.levels, person_face(subject))
+    except FaceRefused as why:
+        clock.report(f"face: stays still, {why}")
+        return avatar
+    moving = [len(level.face.vertices) for level in found.levels if level.face is not None]
+    clock(f"face: moves {' / '.join(map(str, moving))} vertices")
+    return replace(avatar, levels=tuple(found.levels), eyes=found.eyes)
 
 
 def loosened(baked: BakedLevel, subject: CaptureSubject) -> BakedLevel:

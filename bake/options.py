@@ -2,8 +2,8 @@
 
 from typing import Annotated, Literal
 
-from command.command_line import Hidden
-from command.settings import AtLeast, AtMost, settings
+from command.command_line import Hidden, Option
+from command.settings import AtLeast, AtMost, OneOf, settings
 
 
 @settings
@@ -19,6 +19,10 @@ class BakeOptions:
     twist: Annotated[
         bool, "52 more bones, twist and bend joints: limbs that turn or bend keep their volume in every viewer"
     ] = False
+    without: Annotated[
+        tuple[str, ...], OneOf(("face",)), Option(several=True),
+        "leave out what is made, not filmed: face (shapes, lips that part, lids that close, eyes that turn)",
+    ] = ()  # fmt: skip
     body_step: Annotated[float, Hidden(), "grid step of the extraction, metres"] = 0.005
     fine_step: Annotated[float, Hidden(), "the same along the spans of head and hands, metres"] = 0.0025
     head_density: Annotated[float, Hidden(), "texels per metre, relative to the body's"] = 2.5

@@ -1,0 +1,116 @@
+"""The line between the lips on a baked surface, and the cut along it."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer
+from numpy import ndarray as Array
+
+from avatar.baked_avatar import Level
+from bake.face.cut import chains, cut_along, extended, places, refined
+from bake.face.template import FaceRefused, PersonFace
+from geometry.mesh import half_edges
+
+# metres: the line is smoothed over so much of its length; no vertex farther off it is of a lip
+KERNEL, LIPS = 0.002, 0.015
+# metres before or behind the line that the surface of the mouth may lie: lips are thick
+DEEP = 0.018
+# metres that the cut ends before the corners of the mouth
+SHORT = 0.0005
+# metres from the line within which edges are made no longer than this
+FINE, LONGEST = 0.003, 0.002
+# vertices of a cut: fewer open as a wedge
+LEAST = 12
+STEPS = 200
+
+
+class LipLine(NamedTuple):
+    """Where the lips meet, from the right corner to the left one."""
+
+    x: Float[Array, "steps"]
+    y: Float[Array, "steps"]
+    z: Float[Array, "steps"]
+
+    def above(self, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+        """Metres above the line; beside the corners above its straight way on."""
+        ends = [(self.y[k] - self.y[j]) / (self.x[k] - self.x[j]) for j, k in ((0, 10), (-11, -1))]
+        x = points[:, 0]
+        y = np.interp(x, self.x, self.y)
+        y += np.minimum(x - self.x[0], 0) * ends[0] + np.maximum(x - self.x[-1], 0) * ends[1]
+        return points[:, 1] - y
+
+    def away(self, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+        """Metres from the line as the face is seen from the front; inf for what is not of the mouth."""
+        x = np.clip(points[:, 0], self.x[0], self.x[-1])
+        off = np.hypot(points[:, 0] - x, points[:, 1] - np.interp(x, self.x, self.y))
+        return np.where(np.abs(points[:, 2] - np.interp(x, self.x, self.z)) < DEEP, off, np.inf)
+
+
+def lip_line(person: PersonFace) -> LipLine:
+    """The middle of the template's seam."""
+    upper, lower = (person.vertices[half] for half in person.face.seam)
+    x = np.linspace(upper[0, 0], upper[-1, 0], STEPS)
+    place = [np.mean([_by_x(x, half, axis) for half in (upper, lower)], axis=0) for axis in (1, 2)]
+    width = max(1, int(KERNEL / (x[1] - x[0])))
+    weight = np.hanning(2 * width + 3)[1:-1]
+    smooth = [np.convolve(np.pad(one, width, mode="edge"), weight / weight.sum(), mode="valid") for one in place]
+    return LipLine(x, *smooth)
+
+
+def _by_x(x: Float[Array, "n"], points: Float[Array, "k 3"], axis: int) -> Float[Array, "n"]:
+    order = np.argsort(points[:, 0], kind="stable")
+    return np.interp(x, points[order, 0], points[order, axis])
+
+
+class CutLips(NamedTuple):
+    """A level whose lips are two."""
+
+    level: Level
+    # 1 of the upper lip and -1 of the lower one, each with its edge of the cut; 0 elsewhere and at the corners
+    lip: Integer[Array, "vertices"]
+    # vertices along the cut, right to left; both lips have the corners
+    upper: Integer[Array, "n"]
+    lower: Integer[Array, "n"]
+
+
+def cut_lips(level: Level, line: LipLine) -> CutLips:
+    """Divide the triangles along the line between the lips; the vertices of the lower lip along it are those of the
+    upper one over again.
+
+    Raises:
+        FaceRefused: the line does not cut the surface in one go.
+    """
+    level = refined(level, lambda points: line.away(points) < FINE, LONGEST)
+    points, faces = level.positions.astype(np.float64), level.faces.astype(np.int64)
+    above, near = line.above(points), line.away(points) < LIPS
+    # one on the line would leave triangles without area
+    above = np.where(np.abs(above) < 2e-5, 2e-5, above)
+
+    def between(edges: Integer[Array, "n 2"], share: Float[Array, "n"]) -> Bool[Array, "n"]:
+        at = (1 - share[:, None]) * points[edges[:, 0]] + share[:, None] * points[edges[:, 1]]
+        return near[edges].all(1) & (at[:, 0] > line.x[0] + SHORT) & (at[:, 0] < line.x[-1] - SHORT)
+
+    cut = cut_along(faces, above, between)
+    grown, count = extended(level, cut.edges, cut.share), len(points)
+    place = places(grown.positions[count:])
+    edges = half_edges(cut.faces)
+    found = chains(place[edges[(edges >= count).all(1)] - count])
+    if len(found) != 1 or len(found[0]) < LEAST or found[0][0] == found[0][-1]:
+        pieces = ", ".join(str(len(piece)) for piece in found[:4])
+        raise FaceRefused(f"its lips should be cut along one line of {LEAST} vertices or more, are along {pieces or 0}")
+    chain = found[0]
+    upper = count + np.array([int(np.argmax(place == at)) for at in chain])
+    if grown.positions[upper[0], 0] > grown.positions[upper[-1], 0]:
+        upper, chain = upper[::-1], chain[::-1]
+    # corners stay whole
+    twice = np.flatnonzero(~np.isin(place, chain[[0, -1]]))
+    twin = np.arange(count + len(place))
+    twin[count + twice] = len(twin) + np.arange(len(twice))
+    grown = extended(grown, np.stack([count + twice] * 2, 1), np.zeros(len(twice)))
+    faces = np.where((cut.side < 0)[:, None], twin[cut.faces], cut.faces)
+    lip = np.zeros(len(grown.positions), np.int64)
+    between_corners = (points[:, 0] > line.x[0]) & (points[:, 0] < line.x[-1])
+    lip[:count] = np.where(near & between_corners, np.sign(above), 0)
+    lip[count + twice], lip[count + len(place) :] = 1, -1
+    return CutLips(replace(grown, faces=faces.astype(np.uint32)), lip, upper, twin[upper])

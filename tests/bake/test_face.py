@@ -1,0 +1,204 @@
+"""A face on a sheet before the built-in head: cuts, lips, eyes, blinks, the strip, and templates that get none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from face_sheet import IRIS, WHITE, face_sheet
+from tiny_avatar import tiny_avatar
+
+from avatar.face import SHAPES
+from avatar.texture import sample_texture
+from bake.bake import _Clock, faced
+from bake.face.cut import chains, cut_along, divided_faces
+from bake.face.eyes import CAP, eye_axis, iris_picture
+from bake.face.face import parted, with_face
+from bake.face.features import aligned
+from bake.face.lips import lip_line
+from bake.face.mouth import zipped
+from bake.face.strip import LEFT_EYE, MOUTH, size_in, uv_in, with_strip
+from bake.face.template import FaceRefused, person_face
+from geometry.mesh import face_areas
+
+SHEET = face_sheet()
+PARTED = parted(SHEET.level, SHEET.person, lip_line(SHEET.person))
+FACED = with_face([SHEET.level], SHEET.person)
+
+
+def moved(level, **weights):
+    """Positions of a level with shapes so; a blink is both sides'."""
+    points = level.positions.astype(np.float64)
+    for name, weight in weights.items():
+        for shape in [s for s in SHAPES if s in (name, f"{name}Left", f"{name}Right")]:
+            points[level.face.vertices] += weight * level.face.offsets[SHAPES.index(shape)]
+    return points
+
+
+def grid(side=9):
+    """A flat mesh in the unit square."""
+    y, x = np.mgrid[:side, :side] / (side - 1)
+    n = np.arange(side * side).reshape(side, side)
+    a, b, c, d = (part.ravel() for part in (n[:-1, :-1], n[:-1, 1:], n[1:, 1:], n[1:, :-1]))
+    return np.c_[x.ravel(), y.ravel(), 0 * x.ravel()], np.concatenate([np.c_[a, b, c], np.c_[a, c, d]])
+
+
+def test_a_cut_leaves_no_face_on_both_sides_and_all_of_the_area():
+    points, faces = grid()
+    value = points[:, 1] - 0.3 - 0.2 * points[:, 0]
+    cut = cut_along(faces, value)
+    ends = points[cut.edges]
+    whole = np.concatenate([points, ends[:, 0] + cut.share[:, None] * (ends[:, 1] - ends[:, 0])])
+    beyond = whole[:, 1] - 0.3 - 0.2 * whole[:, 0]
+    assert (cut.side[:, None] * beyond[cut.faces] > -1e-12).all()
+    assert face_areas(whole, cut.faces).sum() == pytest.approx(1, abs=1e-12)
+
+
+@pytest.mark.parametrize("edges", [[[0, 1]], [[0, 1], [1, 2]], [[0, 1], [0, 2], [1, 2]]])
+def test_a_face_is_divided_on_one_two_or_three_edges_and_keeps_its_facing(edges):
+    points, edges = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array(edges)
+    whole = np.concatenate([points, points[edges].mean(1)])
+    faces = divided_faces(np.array([[0, 1, 2]]), edges, 3)
+    area = np.cross(whole[faces[:, 1]] - whole[faces[:, 0]], whole[faces[:, 2]] - whole[faces[:, 0]])[:, 2]
+    assert len(faces) == 1 + len(edges) and (area > 0.1).all() and area.sum() == pytest.approx(1)
+
+
+def test_lines_are_found_whole_and_loops_end_where_they_begin():
+    line, loop = chains(np.array([[5, 3], [3, 9], [0, 1], [1, 2], [2, 0], [9, 7], [7, 8]]))
+    assert line.tolist() in ([5, 3, 9, 7, 8], [8, 7, 9, 3, 5])
+    assert loop[0] == loop[-1] and set(loop.tolist()) == {0, 1, 2}
+
+
+def test_two_lines_are_sewn_by_every_edge_of_both_once():
+    faces = zipped(np.array([0, 0.4, 0.6, 1]), np.array([0, 0.5, 1]))
+    edges = {tuple(sorted(pair)) for face in faces.tolist() for pair in zip(face, face[1:] + face[:1])}
+    assert {(0, 1), (1, 2), (2, 3), (4, 5), (5, 6)} <= edges and len(faces) == 5
+
+
+def test_lips_touch_at_rest_and_part_between_their_corners_when_the_jaw_opens():
+    level, offsets = PARTED.growing
+    upper, lower = level.positions[PARTED.upper], level.positions[PARTED.lower]
+    np.testing.assert_array_equal(upper, lower)
+    jaw = offsets[SHAPES.index("jawOpen"), :, 1]
+    apart = jaw[PARTED.upper] - jaw[PARTED.lower]
+    assert apart[[0, -1]].tolist() == [0, 0] and apart.max() > 0.02 and apart[5:-5].min() > 0.005
+
+
+def test_a_mouth_closed_again_leaves_less_than_a_millimetre():
+    offsets = PARTED.growing.offsets
+    both = offsets[SHAPES.index("jawOpen")] + offsets[SHAPES.index("mouthClose")]
+    assert np.linalg.norm(both[PARTED.upper] - both[PARTED.lower], axis=1).max() < 0.0008
+
+
+@pytest.mark.parametrize("shape", ["jawOpen", "mouthFunnel", "mouthSmileLeft", "mouthUpperUpRight"])
+def test_no_shape_opens_a_gap_between_lips_and_mouth(shape):
+    level = FACED.levels[0]
+    points = np.round(moved(level, **{shape: 1.0}) * 1e6).astype(np.int64)
+    near = lip_line(SHEET.person).away(level.positions.astype(np.float64)) < 0.003
+    place = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
+    # teeth and tongue come after the inside, and have edges of their own
+    skin = np.flatnonzero(near & (level.view_seen > 0))
+    edges = np.concatenate([level.faces[:, [i, (i + 1) % 3]] for i in range(3)]).astype(np.int64)
+    own = edges[np.isin(edges, skin).all(1)]
+    assert np.isin(place[own[:, 0]] * len(place) + place[own[:, 1]],
+                   place[edges[:, 1]] * len(place) + place[edges[:, 0]]).all()  # fmt: skip
+
+
+@pytest.mark.parametrize("weight", [0, 0.25, 0.5, 0.75, 1])
+def test_lids_stay_outside_of_the_balls_while_they_close(weight):
+    level = FACED.levels[0]
+    points = moved(level, eyeBlink=weight)
+    for eye in FACED.eyes:
+        near = (np.linalg.norm(level.positions - eye.center, axis=1) < 0.018) & (level.view_seen > 0)
+        near &= level.positions[:, 2] > eye.center[2]
+        near[np.setdiff1d(np.arange(len(near)), level.faces)] = False
+        assert np.linalg.norm(points[near] - eye.center, axis=1).min() - eye.radius > 0.0002
+
+
+def test_a_blink_brings_the_upper_edge_to_the_lower_one():
+    level, offsets = PARTED.growing
+    for opened, side in zip(PARTED.opened, ("Left", "Right")):
+        edge = level.positions[opened.loop] + offsets[SHAPES.index(f"eyeBlink{side}"), opened.loop]
+        first, last = sorted((int(edge[:, 0].argmin()), int(edge[:, 0].argmax())))
+        one, other = edge[first : last + 1], np.r_[edge[last:], edge[: first + 1]]
+        x = np.linspace(edge[:, 0].min() + 0.003, edge[:, 0].max() - 0.003, 30)
+        y = [np.interp(x, *half[np.argsort(half[:, 0]), :2].T) for half in (one, other)]
+        assert np.abs(y[0] - y[1]).max() < 0.001
+
+
+def test_the_atlas_stays_and_its_places_with_it_and_nothing_new_changes_with_the_view():
+    before, after = SHEET.level, FACED.levels[0]
+    size = len(before.base_color)
+    np.testing.assert_array_equal(after.base_color[:size], before.base_color)
+    assert after.features is not None and not after.features[size // 2 :].any()
+    assert after.base_color.shape == (size * 17 // 16, size, 3)
+    new = after.uv[:, 1] > 16 / 17
+    assert new.sum() > 500 and not after.view_seen[new].any()
+    read = lambda level, uv: sample_texture(level.base_color / 255.0, uv.astype(np.float64))
+    with_rows = with_strip(before, {})
+    np.testing.assert_allclose(read(with_rows, with_rows.uv), read(before, before.uv), atol=1e-3)
+
+
+def test_a_picture_lies_in_the_strip_where_its_coordinates_say():
+    width, height = size_in(LEFT_EYE, 512)
+    picture = np.zeros((height, width, 3))
+    picture[5, 7] = 1
+    level = with_strip(SHEET.level, {LEFT_EYE: picture, MOUTH: np.full((*size_in(MOUTH, 512)[::-1], 3), 0.5)})
+    uv = uv_in(LEFT_EYE, np.array([[7.5 / width, 5.5 / height]]), 512)
+    assert sample_texture(level.base_color / 255.0, uv)[0].tolist() == [1, 1, 1]
+
+
+def test_an_eye_looks_where_its_iris_is_and_shows_it_all_round():
+    for opened, center in zip(PARTED.opened, SHEET.person.eyes.centres):
+        axis = eye_axis(opened, center)
+        assert np.degrees(np.arccos(axis[2])) < 2.5
+        picture = iris_picture(opened, center, axis, (128, 128))
+        rows = lambda degrees: picture[int(np.radians(degrees) / CAP * 128)]
+        assert np.abs(rows(15) - IRIS).max() < 0.15
+        assert np.abs(rows(38) - WHITE).max() < 0.15
+        # hidden behind the lids it is of one color, in their shade
+        assert np.ptp(rows(95), axis=0).max() < 0.02 and 0.3 < rows(95).mean() < 0.6
+
+
+def test_lips_that_registration_left_beside_the_picture_s_are_found():
+    off = SHEET.person._replace(vertices=SHEET.person.vertices + [0, -0.005, 0])
+    found, right = lip_line(aligned(off, SHEET.level)), lip_line(SHEET.person)
+    assert np.abs(np.interp(right.x[20:-20], found.x, found.y) - right.y[20:-20]).max() < 0.001
+
+
+def test_a_painted_eye_gets_a_ball_behind_it():
+    points = SHEET.level.positions.copy()
+    for center in SHEET.person.eyes.centres:
+        points[np.linalg.norm(points[:, :2] - center[:2], axis=1) < 0.02, 2] += 0.004
+    found = with_face([replace(SHEET.level, positions=points)], SHEET.person)
+    for eye, center in zip(found.eyes, SHEET.person.eyes.centres):
+        np.testing.assert_allclose(eye.center - center, [0, 0, 0.004], atol=0.0015)
+
+
+def test_an_atlas_too_small_for_the_pictures_gets_no_face():
+    with pytest.raises(FaceRefused, match="no room"):
+        with_face([replace(SHEET.level, base_color=SHEET.level.base_color[::4, ::4])], SHEET.person)
+
+
+def test_another_template_gets_no_face():
+    with pytest.raises(FaceRefused, match="not of the built-in body"):
+        person_face(replace(SHEET.subject, faces=SHEET.subject.faces[:, [1, 2, 0]]))
+
+
+def test_a_bake_says_once_why_a_face_stays_still():
+    avatar, lines = tiny_avatar(), []
+    other = replace(SHEET.subject, faces=SHEET.subject.faces[:, [1, 2, 0]])
+    assert faced(avatar, other, _Clock(lines.append)) is avatar
+    assert lines == ["face: stays still, its template is not of the built-in body"]
+
+
+def test_lips_are_mended_where_few_vertices_are_torn_and_refused_where_most_are():
+    body, rng = SHEET.subject.vertices, np.random.default_rng(0)
+    seam = np.concatenate(SHEET.person.face.seam)
+    torn = body.copy()
+    torn[rng.choice(seam, 8)] += [0, 0.01, 0]
+    mended = person_face(replace(SHEET.subject, vertices=torn))
+    assert np.abs(mended.vertices[seam] - body[seam]).max() < 0.003
+    near = np.linalg.norm(body - body[seam].mean(0), axis=1) < 0.045
+    torn[near, 1] += 0.015 * np.sign(np.sin(body[near, 0] * 2 * np.pi / 0.024))
+    with pytest.raises(FaceRefused, match="lips are torn"):
+        person_face(replace(SHEET.subject, vertices=torn))
