@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray as Array
 
+from avatar.body import builtin_body
 from avatar.camera import Camera, project, read_cameras
 from avatar.motion.amass import read_video_poses
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
@@ -58,6 +59,15 @@ class CaptureSubject:
     head_reach: float = 0.0
     # vertices that carved clothes hide from every side (clothes.py): their inside, and the body there; None: none
     behind_cloth: Bool[Array, "vertices"] | None = None
+
+    @cached_property
+    def on_free_body(self) -> bool:
+        """Whether its first vertices are those of the free body in their order. Hair or clothes that were carved are
+        joined to them, and have taken triangles away."""
+        faces, count = builtin_body("male").faces.astype(np.int64), len(builtin_body("male").vertices)
+        own = self.faces[(self.faces < count).all(1)]
+        numbered = lambda of: (of[:, 0] * count + of[:, 1]) * count + of[:, 2]
+        return len(self.vertices) >= count and len(own) > 0 and bool(np.isin(numbered(own), numbered(faces)).all())
 
     def joined(
         self, kept: Int[Array, "k 3"], mesh: tuple[Array, Array], rest: Float[Array, "n 3"], skin: SkinWeights,

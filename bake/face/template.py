@@ -54,8 +54,7 @@ def person_face(subject: CaptureSubject) -> PersonFace:
     """
     body, face = builtin_body("male"), builtin_face()
     key = lambda faces: (faces[:, 0] * BODY + faces[:, 1]) * BODY + faces[:, 2]
-    own = subject.faces[(subject.faces < BODY).all(1)]
-    if len(subject.vertices) < BODY or len(own) < 0.9 * len(body.faces) or not np.isin(key(own), key(body.faces)).all():
+    if not subject.on_free_body:
         raise FaceRefused("its template is not of the built-in body")
     hidden = np.isin(key(body.faces), key(face.inside))
     for socket in body_sockets():

@@ -6,7 +6,6 @@ what is judged. The jaw's points are left out: they slide along the outline as t
 
 import numpy as np
 
-from avatar.body import builtin_body
 from bench.score.posed_geometry import GeometryCase, PosedPair, alignment
 from capture.fit.points import body_points
 from capture.folder import CaptureSubject
@@ -16,18 +15,10 @@ INNER = range(17, 68)
 MILLIMETRES = 1000.0  # per metre
 
 
-def has_face(template: CaptureSubject) -> bool:
-    """Whether its first vertices are those of the free body, whose face's points are known."""
-    body = builtin_body("male")
-    count = len(body.vertices)
-    own = template.faces[(template.faces < count).all(1)]
-    return len(template.vertices) >= count and set(map(tuple, own.tolist())) <= set(map(tuple, body.faces.tolist()))
-
-
 def face_landmarks_mm(template: CaptureSubject, case: GeometryCase, pair: PosedPair) -> float | None:
     """Their mean in pose 0, the head aligned by itself; None: the truth or the template names none."""
     truth = case.truth.face
-    if truth is None or not has_face(template):
+    if truth is None or not template.on_free_body:
         return None
     points = body_points()
     places = np.stack([points[f"face_{number:02d}"].place(template.vertices, template.joints) for number in INNER])

@@ -85,9 +85,8 @@ def body_sockets() -> tuple[Socket, Socket]:
 def eye_spheres(subject: CaptureSubject) -> EyeSpheres | None:
     """The subject's eyeballs in the canonical frame; None for a template that neither states them nor is the free
     body, whose sockets are known."""
-    stated, faces = subject.eyes, builtin_body("male").faces
-    # hair may have been joined to the free body
-    if stated is None and np.array_equal(subject.faces[: len(faces)], faces):
+    stated = subject.eyes
+    if stated is None and subject.on_free_body:
         stated = socket_spheres(subject.rest)
     if stated is None:
         return None
