@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from command.errors import AssetError
@@ -193,6 +193,21 @@ def field(path: Path | str, fields: dict[str, Array], name: str, shape: tuple[in
         first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise AssetError(f"{path}: {name} is not finite, first at {first}")
     return array
+
+
+def indices(
+    path: Path | str, fields: dict[str, Array], name: str, shape: tuple[int | None, ...], count: int, of: str
+) -> Int[Array, "..."]:
+    """An array of this shape that picks from `count` things, called `of` in messages: whole numbers below `count`.
+
+    Raises:
+        AssetError: it does not; the message names file and field.
+    """
+    array = field(path, fields, name, shape)
+    if array.size and not (array.min() >= 0 and array.max() < count and (array == np.floor(array)).all()):
+        found = f"{array.min():.6g} to {array.max():.6g}"
+        raise AssetError(f"{path}: {name} should index {count} {of} by whole numbers, holds {found}")
+    return array.astype(np.int64)
 
 
 class _Header(NamedTuple):

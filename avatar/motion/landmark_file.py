@@ -28,7 +28,8 @@ from command.errors import AssetError
 from files.input_file import JsonObject, read_json
 
 WHAT = "landmarks of MediaPipe"
-MOST_FRAMES = 1_000_000
+# an hour at 60 a second
+MOST_FRAMES = 216_000
 # a face's points, without and with irises
 FACE_POINTS = (468, 478)
 LARGEST = 1e5  # the largest coordinate: pixels, parts of the picture, metres
