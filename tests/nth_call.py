@@ -1,8 +1,8 @@
 """Makes the N-th call that writes under a folder fail, for N = 1, 2, ... until none does, and looks at what is left.
 
-The calls: open (to write), write, close, fsync, mkdir, rename, replace, exchange, unlink, rmdir, chmod, truncate, mmap; of
-Python's files also what their buffers write. Each fails as a disk or a table of files does (ENOSPC, EIO, EMFILE, short
-write), or is the moment of Ctrl-C (SIGINT, which is also what EINTR comes of) or of SIGKILL. A trial is a forked child.
+The calls: open (to write), write, close, fsync, mkdir, rename, replace, exchange, unlink, rmdir, chmod, truncate, mmap;
+of Python's files also what their buffers write. Each fails as a disk or a table of files does (ENOSPC, EIO, EMFILE,
+short write), or is the moment of Ctrl-C (SIGINT, which is also what EINTR comes of) or of SIGKILL. A trial is a child.
 
     python -m nth_call SPEC      SPEC: JSON of `Spec`; prints the Outcome as JSON
 """

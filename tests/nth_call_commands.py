@@ -118,11 +118,10 @@ COMMANDS = {
 SLOW = {
     "export to AMASS": exported("out.npz"),
     "export to BVH": exported("out.bvh"),
-    "export to glTF": exported("out.glb"),
     "render to a picture": rendered("out.png", "--frame 0", "--frame 9"),
     "render to frames": rendered("out", "--frames 0:3", "--frames 9:11"),
     "render to a film": rendered("out.mp4", "--frames 0:3", "--frames 9:11"),
-    "render --resume": rendered("out.mp4", "--frames 0:3", "--frames 9:11", "--resume"),
+    "render --resume": rendered("out.mp4", "--frames 0:3", "--frames 9:11", "--resume") | {"most": 24},
     "web": {
         "modules": ["player.web_command"], "old": ["web", "mannequin", "-o", "{}/out.html"],
         "new": ["web", "mannequin:female", "-o", "{}/out.html"], "out": "out.html",

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import zlib
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -180,19 +181,27 @@ def read_surface(path: Path) -> Surface:
 
 
 def write_json(path: Path, facts: dict) -> None:
-    """run.json: format, version and the facts."""
-    path.write_text(json.dumps({"format": FORMAT, "version": VERSION, **facts}, indent=1), "utf-8")
+    """run.json: format, version, the facts and their checksum."""
+    content = {"format": FORMAT, "version": VERSION, **facts}
+    path.write_text(json.dumps(content | {"check": _check(content)}, indent=1), "utf-8")
+
+
+def _check(facts: dict) -> int:
+    """CRC-32 of facts without their checksum, as JSON has them: a rotten digit still is JSON."""
+    return zlib.crc32(json.dumps({name: value for name, value in facts.items() if name != "check"}).encode())
 
 
 def read_facts(path: Path) -> dict:
     """run.json of a run folder.
 
     Raises:
-        AssetError: there is none, or it is of another format.
+        AssetError: there is none, it is of another format, or it was changed since it was written.
     """
     facts = read_json(path / "run.json", "a run folder, as `selfscan train` makes it")
     if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
         raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
+    if facts.get("check", _check(facts)) != _check(facts):
+        raise AssetError(f"{path / 'run.json'}: damaged, or changed by hand: its checksum is another (`check`)")
     return facts
 
 

@@ -27,8 +27,10 @@ def read_weights(path: Path | str, what: str, device: torch.device | str = "cpu"
     """
     with unusable(path, what), open_input(path, what, most=MAX_BYTES) as file:
         size = Path(path).stat().st_size
-        if zipfile.is_zipfile(file) and any(member.compress_type for member in zipfile.ZipFile(file).infolist()):
-            raise ValueError("a packed archive")
+        # torch believes the checksums of an archive, and unpacks what is packed; before 1.6 files were no archives
+        archive = zipfile.ZipFile(file) if zipfile.is_zipfile(file) else None
+        if archive and (any(member.compress_type for member in archive.infolist()) or archive.testzip()):
+            raise ValueError("an archive that is packed or damaged")
         file.seek(0)
         content = torch.load(file, map_location=device, weights_only=True)
         if _bytes(content) > size:

@@ -118,7 +118,7 @@ def _fifo(path: Path) -> None:
         (lambda path: path.write_bytes(b""), "an empty file"),
         (_fifo, "is a device, pipe or socket"),
         (lambda path: path.write_bytes(b"\x80\x02}q\x00."), "found: "),
-        (_packed, "found: a packed archive"),
+        (_packed, "found: an archive that is packed"),
         (_spread, "found: tensors of 39\\d* bytes in a file"),
         (_of_frames, r"the preset has torch\.Size\(\[10000000, 8\]\)"),
     ],

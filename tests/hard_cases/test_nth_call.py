@@ -1,4 +1,4 @@
-"""Every call that writes fails once: the old output stays whole or the new one is whole, and nothing is left for good."""
+"""Every call that writes fails once: the old output stays whole or the new one is, and nothing is left for good."""
 
 import json
 import os
