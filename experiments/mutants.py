@@ -8,11 +8,11 @@ Tests that `make test` runs are named as narrowly as they still fail. Exit code 
 
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
+import traceback
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("files command avatar geometry capture train player bake shaders synth bench selfscan "
@@ -103,22 +103,49 @@ def outcome(tree: Path, planted: Planted) -> str:
     if text.count(planted.old) != 1:
         return f"NOT PLANTED: the old text stands there {text.count(planted.old)} times"
     path.write_text(text.replace(planted.old, planted.new), "utf-8")
-    words = ["-q", "-x", "-m", "not slow", "--jaxtyping-packages=", "-p", "no:randomly", *planted.tests.split()]
-    environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", "pytest", *words], cwd=tree, env=environment, capture_output=True, text=True
-        )
-    finally:
-        path.write_text(text, "utf-8")
-    failed = next((line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))), "")
-    if done.returncode == 1:
+    words = ["-q", "-x", "-m", "not slow", "--jaxtyping-packages=", *planted.tests.split()]
+    with tempfile.TemporaryFile("w+") as said:
+        pid = os.fork()
+        if not pid:
+            _tested(tree, words, said.fileno())
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        said.seek(0)
+        lines = said.read()
+    path.write_text(text, "utf-8")
+    failed = next((line for line in lines.splitlines() if line.startswith(("FAILED", "ERROR"))), "")
+    if code == 1:
         return f"killed by {failed.split('::')[-1].split(' - ')[0]}"
-    return "LIVES" if done.returncode == 0 else f"NOT TRIED: {done.stdout[-300:]}{done.stderr[-300:]}"
+    return "LIVES" if code == 0 else f"NOT TRIED: {lines[-300:]}"
+
+
+def _tested(tree: Path, words: list[str], said: int) -> NoReturn:
+    """In a forked child: pytest in that tree. What all tests import is there already, of ours nothing."""
+    os.dup2(said, 1)
+    os.dup2(said, 2)
+    os.chdir(tree)
+    sys.path[:] = [str(tree), *(place for place in sys.path if place and Path(place).resolve() != ROOT)]
+    for name in [name for name in sys.modules if name.split(".")[0] in FOLDERS]:
+        del sys.modules[name]
+    sys.dont_write_bytecode = True
+    import pytest
+
+    code = 99
+    try:
+        code = int(pytest.main(words))
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
 
 
 def main() -> int:
     """Plant each; 1 where one lives."""
+    # imported once, for all children
+    import scipy.spatial  # noqa: F401
+    import torch._dynamo  # noqa: F401
+
     words = sys.argv[1:]
     chosen = [p for p in PLANTED if not words or any(word in p.file + p.new for word in words)]
     lived = 0

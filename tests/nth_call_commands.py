@@ -121,7 +121,7 @@ SLOW = {
     "render to a picture": rendered("out.png", "--frame 0", "--frame 9"),
     "render to frames": rendered("out", "--frames 0:3", "--frames 9:11"),
     "render to a film": rendered("out.mp4", "--frames 0:3", "--frames 9:11"),
-    "render --resume": rendered("out.mp4", "--frames 0:3", "--frames 9:11", "--resume") | {"most": 24},
+    "render --resume": rendered("out.mp4", "--frames 0:3", "--frames 9:11", "--resume") | {"most": 30},
     "web": {
         "modules": ["player.web_command"], "old": ["web", "mannequin", "-o", "{}/out.html"],
         "new": ["web", "mannequin:female", "-o", "{}/out.html"], "out": "out.html",
