@@ -55,7 +55,7 @@ PLANTED = (
             "tests/avatar/test_rotation.py"),
     Planted("avatar/kinematics.py", "-(fx * x + skew * y) / z**2", "(fx * x + skew * y) / z**2",
             "tests/capture/fit/test_close_ups.py"),
-    Planted("avatar/kinematics.py", "z = np.maximum(z, NEAREST)", "pass", "tests/capture/fit/test_close_ups.py"),
+    Planted("avatar/kinematics.py", "z = np.maximum(z, NEAREST)", "pass", "tests/avatar/test_camera.py"),
     Planted("avatar/camera.py", "1 - 2 * cx / width", "2 * cx / width - 1", "tests/avatar/test_camera.py"),
     # registration and least squares
     Planted("avatar/similarity.py", "-1.0 if mirrored else 1.0", "1.0", HARD + "registration.py"),
