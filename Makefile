@@ -8,7 +8,7 @@ RUN = $(VENV)/bin/python
 TORCH_INDEX ?=
 JOBS ?= 2  # test processes side by side
 
-.PHONY: demo test test-all hard-cases setup system lint clean
+.PHONY: demo test test-all hard-cases mutants setup system lint clean
 
 demo: setup
 	$(RUN) -m bench.demo out/demo
@@ -33,6 +33,10 @@ test-all: test lint
 # Runs the hard cases and writes docs/hard-cases.md: case, bound, measured worst error, rasteriser.
 hard-cases: setup
 	$(RUN) -m pytest -q tests/hard_cases --hard-cases-report docs/hard-cases.md
+
+# Errors planted by hand, one after the other: each must fail the tests named beside it.
+mutants: setup
+	$(RUN) -m experiments.mutants
 
 lint: setup
 	$(VENV)/bin/ruff check .

@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 from avatar.skeleton import JOINTS, PARENTS
 from avatar.skinning import SkinWeights, strongest_four
 from command.errors import AssetError
-from files.npz import field, read_npz
+from files.npz import field, indices, read_npz
 from files.unpickle import read_pickle
 
 HANDS = ("hands_meanl", "hands_meanr", "hands_componentsl", "hands_componentsr")
@@ -85,11 +85,9 @@ def read_body(path: Path | str) -> Body:
     fields = _model_fields(path)
     vertices = field(path, fields, "v_template", (None, 3))
     count = len(vertices)
-    faces = field(path, fields, "f", (None, 3)).astype(np.int64)
+    faces = indices(path, fields, "f", (None, 3), count, "vertices")
     if not len(faces):
         raise AssetError(f"{path}: f should be triangles, is empty")
-    if faces.min() < 0 or faces.max() >= count:
-        raise AssetError(f"{path}: f should index {count} vertices, holds {int(faces.min())}..{int(faces.max())}")
     weights = field(path, fields, "weights", (count, 52))
     try:
         skin = strongest_four(weights)
@@ -119,7 +117,7 @@ def read_body(path: Path | str) -> Body:
     uv = uv_faces = None
     if "vt" in fields and "ft" in fields:
         uv = field(path, fields, "vt", (None, 2)) * [1, -1] + [0, 1]  # the file's v runs up
-        uv_faces = field(path, fields, "ft", (len(faces), 3)).astype(np.int64)
+        uv_faces = indices(path, fields, "ft", (len(faces), 3), len(uv), "points of vt")
     licence = "the licence of your own model file"
     return Body(
         path.stem, vertices - joints[0], faces, skin, joints - joints[0], shapes, joint_directions, uv, uv_faces,
@@ -138,7 +136,7 @@ def _model_fields(path: Path) -> dict[str, Array]:
 
 
 def _doubles(fields: dict[str, Array]) -> dict[str, Array]:
-    return {name: array.astype(np.float64) if array.dtype.kind in "iuf" else array for name, array in fields.items()}
+    return {name: array.astype(np.float64) if array.dtype.kind in "biuf" else array for name, array in fields.items()}
 
 
 def _hand_space(path: Path, fields: dict[str, Array]) -> HandSpace | None:

@@ -13,15 +13,16 @@ from numpy import ndarray as Array
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, project, read_cameras
+from avatar.head_landmarks import read_head_landmarks
 from avatar.motion.amass import read_video_poses
-from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
+from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from capture.frame_files import FrameFiles, Frames, sized_picture
 from capture.videos import Videos
 from command.errors import AssetError
 from command.workers import on_all_cores
 from files.input_file import read_json_object
-from files.npz import field, read_npz
+from files.npz import field, indices, read_npz
 from files.picture import read_picture
 from files.whole import whole_file
 
@@ -136,7 +137,8 @@ def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS, frames_on_de
     if facts.get("format") != "selfscan-capture" or facts.get("version") != 1:
         found = f"{facts.get('format')!r} version {facts.get('version')!r}"
         raise AssetError(f"{path / 'capture.json'}: expected format 'selfscan-capture' version 1, found {found}")
-    missing = [part for part in PARTS if part not in facts.get("parts", [])]
+    named = facts.get("parts")
+    missing = [part for part in PARTS if not isinstance(named, list) or part not in named]
     if missing:
         raise AssetError(f"{path / 'capture.json'}: parts should hold {list(PARTS)}, lacks {missing}")
     absent = [part for part in PARTS if not (path / part).is_dir()]
@@ -167,9 +169,7 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
             f"{path}: v_template should be a standing person in metres, {HEIGHT[0]} to {HEIGHT[1]} m along y; "
             f"is {height:.4g}{_other_unit(height)}"
         )
-    faces = field(path, fields, "faces", (None, 3)).astype(np.int64)
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
-        raise AssetError(f"{path}: faces should index {count} vertices")
+    faces = read_faces(path, fields, count)
     joints = field(path, fields, "joints", (52, 3)).astype(np.float64)
     astray = np.flatnonzero((joints < rest.min(0) - 0.1).any(1) | (joints > rest.max(0) + 0.1).any(1))
     if len(astray):
@@ -178,28 +178,19 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
             f"{path}: joints should lie in the template, in metres; joint {row} is at "
             f"{np.round(joints[row], 2).tolist()}"
         )
-    bones = field(path, fields, "skin_joints", (count, 4)).astype(np.int64)
-    weights = field(path, fields, "skin_weights", (count, 4)).astype(np.float32)
-    if bones.min() < 0 or bones.max() > 51:
-        raise AssetError(f"{path}: skin_joints should be 0..51, holds {int(bones.min())}..{int(bones.max())}")
-    total = weights.sum(1)
-    if weights.min() < 0 or np.abs(total - 1).max() > 1e-3:
-        row = int(np.abs(total - 1).argmax())
-        raise AssetError(f"{path}: skin_weights should be positive and sum to 1; row {row} sums to {total[row]:.4f}")
-    part = field(path, fields, "part", (count,)).astype(np.int64)
+    skin = read_skin(path, fields, count)
+    part = indices(path, fields, "part", (count,), len(PARTS), "parts")
     absent = [PARTS[i] for i in range(4) if not (part == i).any()]
-    if absent or part.max() > 3:
-        raise AssetError(f"{path}: part should hold each of 0..3, lacks {absent}, largest {int(part.max())}")
+    if absent:
+        raise AssetError(f"{path}: part should hold each of 0..3, lacks {absent}")
     hair = field(path, fields, "hair", (count,)).astype(bool)
     eyes = _read_eyes(path, fields, rest)
-    skin = SkinWeights(bones, weights)
     under_hair = np.zeros((0, 3), np.int64)
     if "under_hair" in fields:
-        under_hair = field(path, fields, "under_hair", (None, 3)).astype(np.int64)
-        if under_hair.min(initial=0) < 0 or under_hair.max(initial=0) >= count:
-            raise AssetError(f"{path}: under_hair should index {count} vertices")
-    first, last = (int(i) for i in field(path, fields, "carved", (2,))) if "carved" in fields else (0, 0)
-    if not 0 <= first <= last <= count:
+        under_hair = indices(path, fields, "under_hair", (None, 3), count, "vertices")
+    carved = indices(path, fields, "carved", (2,), count + 1, "vertices") if "carved" in fields else (0, 0)
+    first, last = (int(i) for i in carved)
+    if first > last:
         raise AssetError(f"{path}: carved should be a range of {count} vertices, is {first} to {last}")
     reach = float(field(path, fields, "head_reach", ())) if "head_reach" in fields else 0.0
     if not 0 <= reach <= 0.3:
@@ -209,6 +200,27 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
     return CaptureSubject(
         name, rest, canonical, faces, skin, joints, part, hair, eyes, under_hair, (first, last), reach, behind
     )
+
+
+def read_faces(path: Path, fields: dict[str, Array], count: int) -> Int[Array, "faces 3"]:
+    """The triangles of a mesh of `count` vertices: the field `faces`, one at least."""
+    faces = indices(path, fields, "faces", (None, 3), count, "vertices")
+    if not len(faces):
+        raise AssetError(f"{path}: faces should be triangles, one at least, are none")
+    return faces
+
+
+def read_skin(path: Path, fields: dict[str, Array], count: int) -> SkinWeights:
+    """The skin of a mesh of `count` vertices: the fields `skin_joints` and `skin_weights`."""
+    bones = indices(path, fields, "skin_joints", (count, 4), len(JOINTS), "joints")
+    weights = field(path, fields, "skin_weights", (count, 4)).astype(np.float32)
+    astray = np.abs(weights.sum(1) - 1)
+    if (weights < 0).any() or (astray > 1e-3).any():
+        row = int(np.maximum(astray, -weights.min(1)).argmax())
+        raise AssetError(
+            f"{path}: skin_weights should be positive and sum to 1; row {row} sums to {weights[row].sum():.4f}"
+        )
+    return SkinWeights(bones, weights)
 
 
 def _read_eyes(path: Path, fields: dict[str, Array], rest: Float[Array, "vertices 3"]) -> Float[Array, "2 4"] | None:
@@ -272,7 +284,7 @@ def _read_video(path: Path, part: str, vertex_count: int, on_demand: bool) -> Pa
 
     unsure = mixed if mixed.any() else None
     if part == "head":
-        points, vertices = _read_landmarks(path / "landmarks.json", vertex_count)
+        points, vertices = read_head_landmarks(path / "landmarks.json", vertex_count)
         return PartVideo(part, images, masks, cameras, None, None, points, vertices, unsure)
     poses = read_video_poses(path / "poses.npz", frames)
     return PartVideo(part, images, masks, cameras, poses.axis_angle, poses.root, None, None, unsure)
@@ -311,27 +323,6 @@ def _other_unit(metres: float) -> str:
         if HEIGHT[0] * scale <= metres <= HEIGHT[1] * scale:
             return f": {unit}?"
     return ""
-
-
-def _read_landmarks(path: Path, vertex_count: int) -> tuple[Array, Array]:
-    content = read_json_object(path, "landmarks")
-    points, vertices = content.get("points"), content.get("vertices")
-    if not isinstance(points, dict) or not isinstance(vertices, dict) or set(points) != set(vertices):
-        raise AssetError(f"{path}: expected 'points' and 'vertices' with the same names")
-    if len(points) < 6:
-        raise AssetError(f"{path}: expected at least 6 landmarks, found {len(points)}")
-    for name in points:
-        index = vertices[name]
-        if not isinstance(index, int) or not 0 <= index < vertex_count:
-            raise AssetError(f"{path}: vertices.{name} should be an index below {vertex_count}, is {index!r}")
-    names = sorted(points)
-    try:
-        positions = np.array([points[name] for name in names], np.float64)
-    except (TypeError, ValueError):
-        raise AssetError(f"{path}: points should be three numbers each") from None
-    if positions.shape != (len(names), 3) or not np.isfinite(positions).all():
-        raise AssetError(f"{path}: points should be three finite numbers each")
-    return positions, np.array([vertices[name] for name in names])
 
 
 def _read_frames(

@@ -4,8 +4,13 @@
 class AssetError(Exception):
     """A file or a value from outside is unusable; the message names file, field, expected and found.
 
-    The command line prints the message as one line and exits with code 1.
+    The command line prints the message as one line and exits with code 1. Control characters, which a file or the text
+    of another library may bring along and a terminal would obey, are shown by their codes.
     """
+
+    def __init__(self, message: str):
+        plain = (c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in message)
+        super().__init__("".join(plain))
 
 
 def missing_package(package: str | None, extra: str, what: str = "") -> AssetError:

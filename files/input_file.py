@@ -105,7 +105,7 @@ def open_film(path: Path | str, what: str = "a film") -> "InputContainer":
     the first bytes say which of three it is, and the protocol `file` is the only one. Only this imports the decoder.
 
     Raises:
-        AssetError: absent, not a regular file, of another format, damaged, or without pictures.
+        AssetError: absent, not a regular file, of another format, damaged, without pictures, or in an unknown code.
     """
     import av
     from av.error import FFmpegError
@@ -126,6 +126,10 @@ def open_film(path: Path | str, what: str = "a film") -> "InputContainer":
     if not container.streams.video:
         container.close()
         raise AssetError(f"{expected}, found a file without pictures")
+    # encrypted, or newer than the decoder
+    if container.streams.video[0].codec_context is None:
+        container.close()
+        raise AssetError(f"{expected}, found a film in a code that is not read here")
     return container
 
 

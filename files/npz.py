@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from command.errors import AssetError
@@ -77,6 +77,7 @@ class NpzMember:
         self.npz, self.name = npz, name
         self.file: Any = None
         self.whole: Array | None = None
+        self.checked = False
         info = npz.archive.getinfo(f"{name}.npy")
         with self._reading() as file:
             # others may take any amount of memory to unpack
@@ -110,6 +111,14 @@ class NpzMember:
             file.read(self.header.length)
             return _array(file, self.header)
 
+    def _check(self) -> None:
+        """Read a plain member once to its end, where its checksum is compared; one of gigabytes is believed."""
+        if not self.checked and self.header.bytes <= MAX_BYTES:
+            with self.npz.archive.open(f"{self.name}.npy") as file:
+                while file.read(CHUNK):
+                    pass
+        self.checked = True
+
     def rows(self, start: int, stop: int) -> Float[Array, "rows columns"]:
         """Rows start .. stop - 1 as float64, flattened to two dimensions."""
         # rows of an array in Fortran order are spread over the file: it is held whole, and so has to be small
@@ -123,6 +132,7 @@ class NpzMember:
         with self._damage(), np.errstate(invalid="ignore"):
             next_row = self.header.length if self.file is None else self.file.tell()
             if self.first_at is not None and self.header.length + begin != next_row:
+                self._check()
                 self.npz.file.seek(self.first_at + begin)
                 return _array(self.npz.file, block).astype(np.float64)
             if self.file is None:
@@ -193,6 +203,21 @@ def field(path: Path | str, fields: dict[str, Array], name: str, shape: tuple[in
         first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise AssetError(f"{path}: {name} is not finite, first at {first}")
     return array
+
+
+def indices(
+    path: Path | str, fields: dict[str, Array], name: str, shape: tuple[int | None, ...], count: int, of: str
+) -> Int[Array, "..."]:
+    """An array of this shape that picks from `count` things, called `of` in messages: whole numbers below `count`.
+
+    Raises:
+        AssetError: it does not; the message names file and field.
+    """
+    array = field(path, fields, name, shape)
+    if array.size and not (array.min() >= 0 and array.max() < count and (array == np.floor(array)).all()):
+        found = f"{array.min():.6g} to {array.max():.6g}"
+        raise AssetError(f"{path}: {name} should index {count} {of} by whole numbers, holds {found}")
+    return array.astype(np.int64)
 
 
 class _Header(NamedTuple):

@@ -8,6 +8,7 @@ be there: only the output itself is made.
 """
 
 import contextlib
+import ctypes
 import errno
 import json
 import os
@@ -32,6 +33,8 @@ MARK = ".selfscan"
 _UNFINISHED = re.compile(r"\.selfscan-[0-9a-z_]{8}\.tmp")
 # what a write raises when the disk cannot take it
 _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+# of renameat2: names count from the current folder; the two change places
+_HERE, _EXCHANGE = -100, 2
 # bytes; a disk with less free is full
 _FULL = 1 << 16
 
@@ -141,6 +144,16 @@ def check_folder(path: Path | str) -> None:
     _check_parent(path)
 
 
+def is_free(folder: Path) -> bool:
+    """Whether nothing is at a place, or an empty folder. What a killed process of ours left unfinished in it goes."""
+    if not os.path.lexists(folder):
+        return True
+    if not folder.is_dir():
+        return False
+    _remove_leftovers(folder)
+    return not os.listdir(folder)
+
+
 def _mode(path: Path | str) -> int | None:
     """What is at a place, links followed; None: nothing."""
     try:
@@ -247,7 +260,10 @@ def _remove_leftovers(parent: Path) -> None:
 
 
 def _put_in_place(unfinished: Path, target: Path) -> None:
-    """Rename a finished folder to its place; an old one steps aside first and is removed last."""
+    """Rename a finished folder to its place; an old one changes places with it, and is removed last.
+
+    Where the system cannot exchange two names in one step, the old one steps aside first.
+    """
     if not target.exists():
         os.rename(unfinished, target)
         return
@@ -256,6 +272,10 @@ def _put_in_place(unfinished: Path, target: Path) -> None:
         kept = _free(target, ".new")
         os.rename(unfinished, kept)
         raise AssetError(f"{target}: {foreign}, so it is left as it is; the new folder is {kept}")
+    if _exchanged(unfinished, target):
+        # what stays of it when the process is killed here is a leftover like any other
+        shutil.rmtree(unfinished)
+        return
     aside = _free(target, ".old")
     os.rename(target, aside)
     try:
@@ -264,6 +284,15 @@ def _put_in_place(unfinished: Path, target: Path) -> None:
         os.rename(aside, target)
         raise
     shutil.rmtree(aside)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Let two folders change places in one step (Linux's renameat2); False: that is not to be had here."""
+    try:
+        exchange = ctypes.CDLL(None).renameat2
+    except (AttributeError, OSError, TypeError):
+        return False
+    return exchange(_HERE, os.fsencode(one), _HERE, os.fsencode(other), _EXCHANGE) == 0
 
 
 def _free(path: Path, ending: str) -> Path:

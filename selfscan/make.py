@@ -20,7 +20,7 @@ from command.errors import AssetError
 from command.progress import clock_time
 from command.stages import Stage, command, run_stages
 from files.input_file import read_json
-from files.whole import check_file, whole_file
+from files.whole import check_file, is_free, whole_file
 
 # steps a part of the short training; the long one has the preset's own
 SHORT = 250
@@ -84,7 +84,7 @@ def claim(wanted: MakeCommand) -> None:
     films = [[str(file.resolve()), file.stat().st_size] for file in files if file.is_file()]
     asked = {"films": films, "reading": words_of(wanted.reading)}
     note = wanted.work / "make.json"
-    if wanted.work.exists() and read_json(note, "what `selfscan make` was asked for") != asked:
+    if not is_free(wanted.work) and read_json(note, "what `selfscan make` was asked for") != asked:
         raise AssetError(f"{wanted.work}: holds the work on other films or options: remove it, or choose another -o")
     wanted.work.mkdir(exist_ok=True)
     with whole_file(note, "w") as file:

@@ -35,14 +35,15 @@ def greys(levels=range(0, 250, 50)) -> list[np.ndarray]:
 
 
 def film(path: Path, pictures: Sequence[np.ndarray] = greys(), metadata: Mapping[str, str] = {}) -> None:
-    """Pictures of 64 x 48 pixels at 25 a second, and what a phone writes beside them."""
+    """Pictures of one size at 25 a second, and what a phone writes beside them."""
     import av
 
     kind, settings = ("mpeg4", {}) if path.suffix == ".avi" else ("libx264", {"crf": "4", "bf": "2"})
     with av.open(str(path), "w", options={"movflags": "use_metadata_tags"} if metadata else {}) as container:
         container.metadata.update(metadata)
         stream = container.add_stream(kind, rate=25, options=settings)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
         for picture in pictures:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "rgb24")))
         container.mux(stream.encode(None))

@@ -63,6 +63,12 @@ def write(path: Path, document: dict) -> Path:
     return path
 
 
+def rigged_glb() -> tuple[dict, bytes]:
+    """`rig` as JSON and binary chunk."""
+    document, _ = rig()
+    return document, base64.b64decode(document["buffers"][0].pop("uri").split(",")[1])
+
+
 def animated_glb() -> tuple[dict, bytes]:
     """A rig with our names, no mesh, its knees bending; JSON and binary chunk."""
     built = GltfBuilder()

@@ -19,6 +19,7 @@ from capture.template.clothes import THICK
 from capture.template.parts import part_boxes
 from capture.template.surface import SurfaceCloud, neck_height, surface_cloud, visible_faces
 from command.progress import Reporter
+from files.input_file import read_json_object
 from files.whole import whole_file
 from train import run as run_folder
 from train.distributed import ONE_PROCESS, Ranks
@@ -92,7 +93,7 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
     name, folder, steps = job.name, Path(job.folder), job.settings.iterations
     done = folder / f"{name}.json"
     if job.resume and done.exists():
-        return json.loads(done.read_text("utf-8"))
+        return read_json_object(done, "what training a part found")
     torch.set_num_threads(job.threads)
     began, cpu = time.monotonic(), time.process_time()
     capture = job.read_capture()

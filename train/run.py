@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import zlib
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +14,14 @@ from jaxtyping import Float
 
 from avatar.light import CaptureLight, light_from_json
 from avatar.skeleton import PARTS
-from avatar.skinning import SkinWeights
-from capture.folder import CaptureSubject, read_subject
+from capture.folder import CaptureSubject, read_faces, read_skin, read_subject
+from capture.template.layers import HAIR
 from capture.template.parts import part_boxes
 from command.errors import AssetError
 from command.settings import SettingsSource, record_of
 from files.input_file import read_json
 from files.npz import field as field_of
-from files.npz import read_npz
+from files.npz import indices, read_npz
 from train.eye_grid import OpenEyes
 from train.field import PartField
 from train.fused import CanonicalField, FusedField
@@ -28,8 +29,10 @@ from train.light import seen_lights_from_json
 from train.preset import PartPreset, Preset
 from train.surface import Surface
 from train.template_grid import TemplateGrid
+from train.weight_file import read_weights, unusable
 
 FORMAT, VERSION = "selfscan-run", 1
+WHAT = "a trained part of a run"
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ def build_field(
 ) -> PartField:
     """An untrained field of part `index`."""
     extent = part_boxes(subject)[index].extent
-    low, high = (torch.tensor(edge, dtype=torch.float32) for edge in (extent.low, extent.high))
+    low, high = (torch.tensor(edge, dtype=torch.float32, device="cpu") for edge in (extent.low, extent.high))
     half = 0.5 * (high - low)
     networks = preset.networks.build(frames, half, preset.displacement_reach)
     return PartField(template, low, high, networks)
@@ -101,16 +104,20 @@ def read_part(path: Path, subject: CaptureSubject, index: int, preset: PartPrese
     Raises:
         AssetError: the file is not such a part, or its shapes are another preset's.
     """
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        state = content["state"]
-        template = TemplateGrid(state["template.values"], state["template.low"], content["cell"])
-        field = build_field(subject, index, preset, template, content["frames"])
+    content = read_weights(path, WHAT)
+    with unusable(path, WHAT):
+        state, cell, frames = content["state"], float(content["cell"]), content["frames"]
+        template = TemplateGrid(state["template.values"], state["template.low"], cell)
+        build = lambda: build_field(subject, index, preset, template, frames)
+        # what the preset asks for is known before memory is taken for it
+        with torch.device("meta"):
+            expected = {name: value.shape for name, value in build().state_dict().items()}
+        found = {name: value.shape for name, value in state.items()}
+        other = sorted(name for name in expected | found if expected.get(name) != found.get(name))
+        if other:
+            raise ValueError(f"{other[0]} of shape {found.get(other[0])}, the preset has {expected.get(other[0])}")
+        field = build()
         field.load_state_dict(state)
-    except FileNotFoundError:
-        raise AssetError(f"{path}: no such file; expected a part of a run made by `selfscan train`") from None
-    except Exception as error:  # torch.load raises whatever the broken pickle or zip leads to
-        raise AssetError(f"{path}: expected a trained part, found: {str(error).splitlines()[0][:200]}") from None
     return field
 
 
@@ -165,33 +172,36 @@ def read_surface(path: Path) -> Surface:
     count = len(field_of(path, fields, "vertices", (None, 3)))
     for name, (_, columns) in SURFACE.items():
         field_of(path, fields, name, (None if name == "faces" else count, *columns))
-    if fields["faces"].min(initial=0) < 0 or fields["faces"].max(initial=0) >= max(count, 1):
-        raise AssetError(f"{path}: faces should index {count} vertices")
-    bones = fields["skin_joints"].astype(np.int64)
-    if bones.min(initial=0) < 0 or bones.max(initial=0) > 51:
-        raise AssetError(f"{path}: skin_joints should be 0..51, holds {int(bones.min())}..{int(bones.max())}")
-    skin = SkinWeights(bones, fields["skin_weights"])
     return Surface(
-        fields["vertices"].astype(np.float64), fields["faces"].astype(np.int64), fields["normals"].astype(np.float64),
-        fields["part"].astype(np.int64), skin, fields["view_count"], fields["view_mean"], fields["view_covariance"],
-        fields["layer"].astype(np.int64),
+        fields["vertices"].astype(np.float64), read_faces(path, fields, count), fields["normals"].astype(np.float64),
+        indices(path, fields, "part", (count,), len(PARTS), "parts"), read_skin(path, fields, count),
+        fields["view_count"], fields["view_mean"], fields["view_covariance"],
+        indices(path, fields, "layer", (count,), HAIR + 1, "layers"),
     )  # fmt: skip
 
 
 def write_json(path: Path, facts: dict) -> None:
-    """run.json: format, version and the facts."""
-    path.write_text(json.dumps({"format": FORMAT, "version": VERSION, **facts}, indent=1), "utf-8")
+    """run.json: format, version, the facts and their checksum."""
+    content = {"format": FORMAT, "version": VERSION, **facts}
+    path.write_text(json.dumps(content | {"check": _check(content)}, indent=1), "utf-8")
+
+
+def _check(facts: dict) -> int:
+    """CRC-32 of facts without their checksum, as JSON has them: a rotten digit still is JSON."""
+    return zlib.crc32(json.dumps({name: value for name, value in facts.items() if name != "check"}).encode())
 
 
 def read_facts(path: Path) -> dict:
     """run.json of a run folder.
 
     Raises:
-        AssetError: there is none, or it is of another format.
+        AssetError: there is none, it is of another format, or it was changed since it was written.
     """
     facts = read_json(path / "run.json", "a run folder, as `selfscan train` makes it")
     if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
         raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
+    if facts.get("check", _check(facts)) != _check(facts):
+        raise AssetError(f"{path / 'run.json'}: damaged, or changed by hand: its checksum is another (`check`)")
     return facts
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import torch
 
-from command.errors import AssetError
 from command.interrupt import Stopped, deferred_stop
 from files.whole import whole_file
 from train.distributed import ONE_PROCESS, Ranks
@@ -19,6 +18,7 @@ from train.log import TrainingLog
 from train.networks import FeatureGrid
 from train.objective import Batch, Extra, RayTensors, StepReport, beta_at, choose_rays, losses, rho_at
 from train.preset import PartPreset, Preset
+from train.weight_file import read_weights, unusable
 
 REPORT_EVERY = 10  # steps between rows of the log
 
@@ -122,15 +122,13 @@ def load_checkpoint(
     Raises:
         AssetError: the file is broken, or of another network.
     """
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
+    what = "a checkpoint of this training"
+    state = read_weights(path, what)
+    with unusable(path, what):
         field.load_state_dict(state["field"])
         optimiser.load_state_dict(state["optimiser"])
         generator.set_state(state["generator"])
         position.__init__(**state["position"])
-    except Exception as error:  # torch.load raises whatever the broken pickle or zip leads to
-        message = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise AssetError(f"{path}: expected a checkpoint of this training, found: {message}") from None
 
 
 def train_field(

@@ -15,7 +15,6 @@ from torch import Tensor
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
 from capture.template.surface import visible_faces
-from command.errors import AssetError
 from files.whole import whole_file
 from geometry.mesh import face_normals
 from geometry.sample import lattice_samples
@@ -23,6 +22,7 @@ from train.fused import FusedField
 from train.objective import Extra, RayTensors
 from train.preset import PartPreset, Preset
 from train.trainer import UNSAVED, UNWATCHED, Checkpoints, FieldTraining, Watch, train_field
+from train.weight_file import read_weights, unusable
 
 
 class ZeroLevel(NamedTuple):
@@ -159,8 +159,7 @@ def read_rays(path: Path, device: torch.device) -> RayTensors:
     Raises:
         AssetError: no such file, or not such rays.
     """
-    try:
-        return RayTensors(**torch.load(path, map_location=device, weights_only=True))
-    except Exception as error:  # torch.load raises whatever the broken pickle or zip leads to
-        found = str(error).splitlines()[0][:200]
-        raise AssetError(f"{path}: expected the body's rays of this training, found: {found}") from None
+    what = "the body's rays of this training"
+    content = read_weights(path, what, device)
+    with unusable(path, what):
+        return RayTensors(**content)

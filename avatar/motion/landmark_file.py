@@ -32,7 +32,8 @@ from command.errors import AssetError
 from files.input_file import JsonObject, read_json
 
 WHAT = "landmarks of MediaPipe"
-MOST_FRAMES = 1_000_000
+# an hour at 60 a second
+MOST_FRAMES = 216_000
 SCORES, MATRICES = "face_blendshapes", "facial_transformation_matrixes"
 # a face's points, without and with irises
 FACE_POINTS = (468, 478)

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from bench.score.metrics import Score, check_images
 from command.errors import AssetError
+from train.weight_file import read_weights, unusable
 
 # index in torchvision's `features`, in channels, out channels, kernel, stride, padding, max-pooled before
 CONVOLUTIONS = (
@@ -33,6 +34,7 @@ SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
 # pixels of a side: below it a pooling layer has nothing left
 SMALLEST = 31
+WHAT = "a state dictionary of LPIPS"
 
 
 class Perceptual(nn.Module):
@@ -79,12 +81,9 @@ def read_perceptual(paths: Sequence[Path]) -> Perceptual:
     """
     found: dict[str, Tensor] = {}
     for path in paths:
-        try:
-            content = torch.load(path, map_location="cpu", weights_only=True)
+        content = read_weights(path, WHAT)
+        with unusable(path, WHAT):
             found |= {str(name): value for name, value in dict(content).items()}
-        except Exception as error:  # torch.load raises whatever the broken pickle or zip leads to
-            first = (str(error).splitlines() or [type(error).__name__])[0]
-            raise AssetError(f"{path}: expected a state dictionary of LPIPS, found: {first[:200]}") from None
     names = " and ".join(str(path) for path in paths)
     network = Perceptual()
     with torch.no_grad():

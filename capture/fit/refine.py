@@ -28,6 +28,7 @@ from capture.folder import Capture, PartVideo, read_capture
 from capture.videos import changed, only
 from command.errors import AssetError
 from command.progress import Reporter, plural
+from files.input_file import read_json_object
 from files.npz import read_npz
 from files.whole import whole_file
 
@@ -60,7 +61,7 @@ def refine_capture(
         return {}
     done = folder / "refined.json"
     if done.exists():
-        return json.loads(done.read_text("utf-8"))
+        return read_json_object(done, "what refining the poses found")
     # the head's has no poses
     posed = only(capture.videos, [part for part in capture.videos if part != "head"])
     # masks first: poses that are moved onto small masks step back, and hide a part of what is missing

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from avatar.motion.landmark_file import FilmFacts, Frame
-from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of
+from capture.keypoints.record import FACE, SIDES, Keypoints, check_count, hand_points, keypoints_of
 from command.errors import AssetError
 
 # names of the 33; None: a point that no other detector has, or that its hand's own points are better for
@@ -33,9 +33,7 @@ MESH = (
 )  # fmt: skip
 
 
-def mediapipe_keypoints(
-    path: Path, frames: list[Frame], facts: FilmFacts, size: tuple[int, int] | None
-) -> Keypoints:
+def mediapipe_keypoints(path: Path, frames: list[Frame], facts: FilmFacts, size: tuple[int, int] | None) -> Keypoints:
     """The record of frames of landmarks; `size` is the pictures' where the file does not have it.
 
     Raises:
@@ -45,6 +43,7 @@ def mediapipe_keypoints(
         size = (round(facts.width), round(facts.height))
     if size is None:
         raise AssetError(f"{path}: landmarks are parts of a picture of unknown size (image_width, image_height)")
+    check_count(path, len(frames))
     rows = np.zeros((len(frames), len(NAMES), 3))
     for k, frame in enumerate(frames):
         if frame.pose is not None:

@@ -39,7 +39,8 @@ def openpose_keypoints(frames: list[tuple[Path, Any]]) -> Keypoints:
         if not is_openpose(content):
             raise AssetError(f"{path}: expected a frame of OpenPose, an object with people")
         pictures.append([_person(f"{path}: people[{n}]", person) for n, person in enumerate(content["people"])])
-    found = keypoints_of_people(frames[0][0].parent, NAMES, pictures)
+    place = frames[0][0] if len(frames) == 1 else frames[0][0].parent
+    found = keypoints_of_people(place, NAMES, pictures)
     if np.nanmax(found.pixels, initial=0) <= 1.5:
         raise AssetError(f"{frames[0][0]}: expected pixels, found parts of the picture (OpenPose's keypoint_scale 3)")
     return found

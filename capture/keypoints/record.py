@@ -20,6 +20,8 @@ SIDES = ("left", "right")
 FACE = tuple(f"face_{k:02d}" for k in range(68))
 # pixels
 LARGEST = 1e5
+# a quarter of an hour at 60 a second: a turn takes some 20 s, and each frame takes memory, seen or not
+MOST_FRAMES = 54_000
 
 
 def hand_points(side: str) -> tuple[str, ...]:
@@ -73,8 +75,9 @@ def keypoints_of_people(
     """The record of the largest person in each picture; pixels that count from the middle of the first one.
 
     Raises:
-        AssetError: no person in any picture; the message begins with `place`.
+        AssetError: no person in any picture, or too many pictures; the message begins with `place`.
     """
+    check_count(place, len(pictures))
     if not any(pictures):
         raise AssetError(f"{place}: no person in any of {len(pictures)} frames")
     rows, others = np.zeros((len(pictures), len(names), 3)), np.zeros(len(pictures))
@@ -83,6 +86,12 @@ def keypoints_of_people(
             rows[k], others[k] = _largest(people)
     rows[:, :, :2] += 0.5
     return keypoints_of(names, rows, None, others)
+
+
+def check_count(place: Path, frames: int) -> None:
+    """Refuse more than MOST_FRAMES, before memory is taken for them."""
+    if frames > MOST_FRAMES:
+        raise AssetError(f"{place}: expected keypoints of at most {MOST_FRAMES} frames, found {frames}")
 
 
 def _largest(people: list[Float[Array, "points 3"]]) -> tuple[Float[Array, "points 3"], float]:

@@ -15,6 +15,8 @@ from files.picture import MAX_PIXELS
 WHAT = "a video (H.264 or H.265 in .mp4 or .mov, as a phone writes it)"
 # an hour at 60 frames a second: as many are counted
 MOST_FRAMES = 216_000
+# one side over the other; phones have 2.4 at most
+LONGEST_SHAPE = 4
 EQUIVALENT = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 # millimetres: diagonal of 36 x 24, and lenses that are believed
 DIAGONAL_35, LENSES = 43.27, (8.0, 400.0)
@@ -49,7 +51,7 @@ def open_video(path: Path | str) -> VideoFile:
     """What a video file says of itself, and its first frame.
 
     Raises:
-        AssetError: absent, no video, too large a picture, or no frame in it.
+        AssetError: absent, no video, no picture of a phone's size and shape, or no frame in it.
     """
     from av.error import FFmpegError
 
@@ -57,8 +59,7 @@ def open_video(path: Path | str) -> VideoFile:
     try:
         with open_film(path, WHAT) as container:
             stream = container.streams.video[0]
-            if stream.codec_context.width * stream.codec_context.height > MAX_PIXELS:
-                raise AssetError(f"{path}: expected frames of at most {MAX_PIXELS} pixels")
+            _check_size(path, stream.codec_context.width, stream.codec_context.height)
             rate = float(stream.average_rate or stream.guessed_rate or 0)
             count = stream.frames or round(rate * float(container.duration or 0) / 1e6)
             first = next(container.decode(stream), None)
@@ -67,11 +68,19 @@ def open_video(path: Path | str) -> VideoFile:
         raise AssetError(f"{path}: expected {WHAT}: {getattr(error, 'strerror', None) or error}") from None
     if first is None:
         raise AssetError(f"{path}: expected {WHAT}, found no frame")
+    _check_size(path, first.width, first.height)
     if not 1 <= rate <= 1000:
         raise AssetError(f"{path}: expected 1 to 1000 frames a second, found {rate:g}")
     turns = round(first.rotation / 90) % 4
     size = (first.width, first.height) if turns % 2 == 0 else (first.height, first.width)
     return VideoFile(path, size, turns, rate, max(count, 1), focal_written(written, size))
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    """Pictures are looked at 480 pixels high: of one 16 high, 8000 wide, each would become 240,000 wide."""
+    if not (width * height <= MAX_PIXELS and max(width, height) <= LONGEST_SHAPE * min(width, height)):
+        expected = f"frames of at most {MAX_PIXELS} pixels and {LONGEST_SHAPE} times as long as wide"
+        raise AssetError(f"{path}: expected {expected}, found {width} x {height}")
 
 
 def focal_written(metadata: Mapping[str, str], size: tuple[int, int]) -> float | None:

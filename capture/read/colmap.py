@@ -7,6 +7,7 @@ x_camera = R(q) x_model + t, q = w x y z; pixel centres at .5, as ours. The mode
 Counts are checked against the bytes that are there before anything is made of them.
 """
 
+import math
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -68,7 +69,7 @@ def _posed(place: str, lens: Camera | None, camera: int, q: Float[Array, "4"], t
     """The camera of an image; `q` is x y z w."""
     if lens is None:
         raise AssetError(f"{place}: no camera {camera} in the cameras file")
-    length = float(np.linalg.norm(q))
+    length = math.hypot(*q)
     if not 0.99 < length < 1.01:
         raise AssetError(f"{place}: the quaternion should have length 1, has {length:.4g}")
     pose = np.eye(4)

@@ -30,8 +30,9 @@ from capture.read.from_body import cut_close_up
 from command.errors import AssetError
 from command.progress import ProgressBoard, Reporter
 from command.workers import run_jobs
+from files.input_file import read_json
 from files.picture import read_picture
-from files.whole import check_folder, whole_file
+from files.whole import check_folder, is_free, whole_file
 
 # most frames whose points alone are used, and seconds from one to the next: a detector's errors last about as long
 TRACK, APART = 120, 0.1
@@ -89,16 +90,17 @@ def _work_folder(out: Path, given: VideoImport) -> Path:
         "frames": given.frames,
     }
     mark = work / "inputs.json"
-    if mark.exists() and json.loads(mark.read_text("utf-8")) != stamp:
+    if mark.exists() and read_json(mark, "what an unfinished import was made of") != stamp:
         shutil.rmtree(work)
-    elif work.exists() and not mark.exists():
+    elif not is_free(work) and not mark.exists():
         raise AssetError(f"{work}: is in the way, and not an unfinished import; remove or rename it")
     if mark.exists():
         print(f"{work}: goes on with what is done")
-    for part in PARTS:
-        (work / part).mkdir(parents=True, exist_ok=True)
+    work.mkdir(exist_ok=True)
     with whole_file(mark, "w") as file:
         json.dump(stamp, file)
+    for part in PARTS:
+        (work / part).mkdir(exist_ok=True)
     return work
 
 

@@ -134,8 +134,6 @@ class Video:
         self.path, self.placing = path, placing
         self.container = open_film(path)
         self.stream = self.container.streams.video[0]
-        if self.stream.codec_context is None:
-            raise AssetError(f"{self.path}: the film is in a code that is not read here")
         self._check_size(self.stream.width, self.stream.height)
         self.stream.thread_type = "AUTO"
         try:

@@ -5,6 +5,7 @@ whether the frames before it were encoded just now, yesterday or on another mach
 without encoding again.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -17,6 +18,7 @@ from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTr
 from jaxtyping import UInt8
 
 from command.errors import AssetError
+from command.interrupt import StopRequest, deferred_stop
 from files.input_file import open_film
 from player.scene.arguments import QUALITIES
 
@@ -116,11 +118,20 @@ def join(parts: Sequence[tuple[Path, int]], file: IO[bytes] | str, kind: str, ra
 
     Raises:
         AssetError: a part is not a video, lacks frames, or was encoded otherwise than the first.
+        Stopped: a signal came. PyAV drops what is raised while it writes, and with it what it was writing.
     """
-    each = exact_rate(rate)
+    with deferred_stop(patience=math.inf) as stop:
+        _join(parts, file, kind, exact_rate(rate), stop)
+        stop.check()
+
+
+def _join(
+    parts: Sequence[tuple[Path, int]], file: IO[bytes] | str, kind: str, each: Fraction, stop: StopRequest
+) -> None:
     with av.open(file, "w", format=kind[1:]) as container:
         stream, made_with, start = None, None, 0
         for part, count in parts:
+            stop.check()
             with open_film(part, "a part of a film") as source:
                 video = source.streams.video[0]
                 context = video.codec_context

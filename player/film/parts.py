@@ -15,7 +15,7 @@ from pathlib import Path
 
 from command.errors import AssetError
 from files.input_file import JsonObject, read_json_object
-from files.whole import check_folder, write_json
+from files.whole import check_folder, is_free, write_json
 from player.film.film import VIDEO, film_kind
 
 # frames of a part: eight seconds at 30 a second, and as far apart as key frames may be
@@ -64,7 +64,7 @@ class Parts:
             AssetError: the folder is not ours, or `resume` finds parts of another film.
         """
         mark = self.folder / MARK
-        if self.folder.exists():
+        if not is_free(self.folder):
             try:
                 held = read_json_object(mark, "the film that parts belong to")["film"]
                 if not isinstance(held, dict):

@@ -5,6 +5,7 @@ frame in hand: the next recording to the same FILE first saves what lies there b
 """
 
 import os
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,10 +29,11 @@ USUAL_RATES = (24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 144, 240)
 FASTEST = 1000.0
 LONGEST_PAUSE = 2.0  # seconds; a longer silence is cut to this
 MAGIC = b"selfscan-take-2\n"
-# pelvis height of the sender's body in metres, NaN where it is not known
-HEADER = np.dtype([("magic", "S16"), ("pelvis_height", "<f8")])
-# joints, then the root; weights of the face, then yaw and pitch of each eye, NaN where the sender says nothing of them
-RECORD = np.dtype([("time", "<f8"), ("pose", "<f4", (53, 3)), ("face", "<f2", 56)])
+# pelvis height of the sender's body in metres, NaN where it is not known; the CRC-32 of what stands before it
+HEADER = np.dtype([("magic", "S16"), ("pelvis_height", "<f8"), ("check", "<u4")])
+# joints, then the root; weights of the face, then yaw and pitch of each eye, NaN where the sender says nothing of them;
+# the CRC-32
+RECORD = np.dtype([("time", "<f8"), ("pose", "<f4", (53, 3)), ("face", "<f2", 56), ("check", "<u4")])
 # frames between two notes of the pelvis height
 NOTED = 64
 
@@ -62,7 +64,7 @@ class Take:
             if os.fstat(self.file).st_size:
                 self._recover_interrupted_take()
             os.ftruncate(self.file, 0)
-            os.write(self.file, np.array([(MAGIC, np.nan)], HEADER).tobytes())
+            os.write(self.file, _signed(np.array([(MAGIC, np.nan, 0)], HEADER)))
         except BaseException:
             os.close(self.file)
             raise
@@ -76,7 +78,7 @@ class Take:
             return
         numbers = np.concatenate([pose.axis_angle, pose.root[None]]).astype(np.float32)
         face = np.full(56, np.nan) if pose.face is None else np.append(pose.face.weights, pose.face.gaze)
-        data = np.array([(time, numbers, face)], RECORD).tobytes()
+        data = _signed(np.array([(time, numbers, face, 0)], RECORD))
         place = HEADER.itemsize + self.frames * RECORD.itemsize
         try:
             if os.pwrite(self.file, data, place) < len(data):
@@ -123,11 +125,15 @@ class Take:
 
     def _note_height(self) -> None:
         height = self.sender_height()
-        os.pwrite(self.file, np.array([(MAGIC, np.nan if height is None else height)], HEADER).tobytes(), 0)
+        os.pwrite(self.file, _signed(np.array([(MAGIC, np.nan if height is None else height, 0)], HEADER)), 0)
 
     def _recover_interrupted_take(self) -> None:
         """Write what a killed process recorded for this path to a file of its own."""
         records, height = _records(self.recording), _height(self.recording)
+        sound = np.fromiter((_is_signed(row.tobytes()) for row in records), bool, len(records))
+        if not sound.all():
+            self.notes.append(f"{self.recording}: {plural(int((~sound).sum()), 'damaged frame')} left out")
+            records = records[sound]
         if not len(records):
             return
         names = (self.path.with_name(f"{self.path.stem}-recovered{n or ''}.npz") for n in range(1 << 30))
@@ -210,6 +216,16 @@ def faces_at_ticks(
     return out[:, :52], out[:, 52:].reshape(-1, 2, 2)
 
 
+def _signed(row: np.ndarray) -> bytes:
+    """The bytes of a record or header with its check."""
+    data = row.tobytes()[:-4]
+    return data + zlib.crc32(data).to_bytes(4, "little")
+
+
+def _is_signed(data: bytes) -> bool:
+    return zlib.crc32(data[:-4]) == int.from_bytes(data[-4:], "little")
+
+
 def _records(path: Path) -> np.ndarray:
     """The whole records of a recording, read from the disk where they are used."""
     count = max(path.stat().st_size - HEADER.itemsize, 0) // RECORD.itemsize
@@ -228,4 +244,4 @@ def _height(path: Path) -> float | None:
     if len(head) < HEADER.itemsize or not head.startswith(MAGIC):
         raise AssetError(f"{path}: expected what is left of a take, found something else; move it away")
     height = float(np.frombuffer(head, HEADER)["pelvis_height"][0])
-    return height if np.isfinite(height) and height > 0 else None
+    return height if _is_signed(head) and np.isfinite(height) and height > 0 else None

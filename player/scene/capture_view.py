@@ -15,13 +15,14 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from avatar.camera import Camera, read_cameras
+from avatar.head_landmarks import read_head_landmarks
 from avatar.motion.amass import read_video_poses
 from avatar.motion.clip import Clip
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from command.errors import AssetError
 from files.input_file import read_json_object
-from files.npz import read_npz
+from files.npz import field, read_npz
 from files.picture import read_picture
 
 HEAD_RATE = 10.0  # frames a second; the head's video has no poses that would show it
@@ -80,17 +81,12 @@ def open_capture(path: Path | str, part: str = "body") -> CaptureView:
 def head_from_world(path: Path) -> tuple[float, Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
     """Scale, rotation and translation from the avatar's T-pose to the head video's frame, by its landmarks."""
     place = path / "head" / "landmarks.json"
-    content = read_json_object(place, "landmarks")
-    template = read_npz(path / "subject.npz", "subject", ("v_template",))["v_template"]
-    points, vertices = content.get("points"), content.get("vertices")
-    if not isinstance(points, dict) or not isinstance(vertices, dict):
-        raise AssetError(f'{place}: expected {{"points", "vertices"}} by name')
-    names = sorted(points.keys() & vertices.keys())
+    subject = path / "subject.npz"
+    template = field(subject, read_npz(subject, "a subject", ("v_template",)), "v_template", (None, 3))
+    head, vertices = read_head_landmarks(place, len(template))
     try:
-        head = np.array([points[name] for name in names], np.float64).reshape(-1, 3)
-        world = template[np.array([vertices[name] for name in names], np.int64)].astype(np.float64)
-        fit = similarity_from_landmarks(world, head)
-    except (ValueError, TypeError, IndexError) as error:
+        fit = similarity_from_landmarks(template[vertices].astype(np.float64), head)
+    except ValueError as error:
         raise AssetError(f"{place}: {error}") from None
     scale = float(np.cbrt(np.linalg.det(fit.transform[:3, :3])))
     return scale, fit.transform[:3, :3] / scale, fit.transform[:3, 3]

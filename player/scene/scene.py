@@ -23,6 +23,8 @@ CAMERAS = (*FITTED, "file", "path", "capture")
 # a film's frames per second and a round's seconds: beyond them containers of films count wrong
 FILM_RATES, TURNS = (0.01, 1000.0), (0.01, 86_400.0)
 MOST_AVATARS = 256
+# metres from the origin; beyond, a pixel of a near camera is more than numbers tell apart
+FARTHEST = 1e6
 SPACING = 1.0  # metres between several avatars, side by side
 # that travel with the program: a person as `make demo` makes him, and the free body without one
 MANNEQUINS = ("mannequin", "mannequin:female")
@@ -40,7 +42,8 @@ class SceneAvatar:
     live: Annotated[str | None,
         "vmc:PORT, udp:PORT or ws:PORT, instead of a motion (play only); a face alone, also beside one: "
         "ifacialmocap:PORT, livelinkface:PORT, openseeface:PORT"] = None
-    at: Annotated[tuple[float, float, float], "metres, added to where the motion puts it"] = (0.0, 0.0, 0.0)
+    at: Annotated[tuple[float, float, float], AtLeast(-FARTHEST), AtMost(FARTHEST),
+        "metres, added to where the motion puts it"] = (0.0, 0.0, 0.0)
     turn_deg: Annotated[float, "about the vertical through the world's origin, before `at`"] = 0.0
     hands: Annotated[str, OneOf(HANDS), "the motion's hands; mean needs `body`"] = "file"
     ground: Annotated[str, OneOf(GROUNDS),

@@ -8,6 +8,7 @@ from avatar.camera import (
     clip_from_view,
     look_at,
     orbit_camera,
+    pinhole,
     pixel_rays,
     project,
     read_camera,
@@ -16,6 +17,7 @@ from avatar.camera import (
     write_camera,
     write_cameras,
 )
+from avatar.kinematics import pixel_rows
 from avatar.texture import mipmaps
 
 
@@ -90,3 +92,13 @@ def test_an_odd_size_loses_its_last_row_and_one_texel_stays():
     np.testing.assert_array_equal(chain[1], mipmaps(image[:6, :2], 2)[1])
     mean = chain[1][:2].mean((0, 1), dtype=np.float64)
     np.testing.assert_array_equal(chain[2][0, 0], np.floor(mean + 0.5))
+
+
+def test_points_at_the_camera_and_behind_it_have_finite_pixels_and_slopes():
+    camera = Camera(pinhole((64, 48), 0.6), np.eye(4), (64, 48))
+    points = np.array([[0.1, 0.2, 0.0], [0.1, 0.2, -1.0], [0.1, 0.2, 1e-300]])
+    with np.errstate(all="raise"):
+        pixels, rows = pixel_rows(camera, points)
+    assert np.isfinite(pixels).all() and np.isfinite(rows).all()
+    # as at the nearest depth there is: a fit is pushed the way it was
+    assert np.array_equal(rows[0], rows[1]) and (rows[:, 0, 0] > 0).all()

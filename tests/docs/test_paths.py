@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments.mutants import PLANTED
 from selfscan.__main__ import COMMANDS, PACKAGES
 
 ROOT = Path(__file__).parents[2]
@@ -64,3 +65,10 @@ def test_the_ten_questions_are_answered_by_files_that_are_there():
     rows = re.findall(r"^  \| [^|]+\? \| (.+) \|$", text, re.MULTILINE)
     named = [name for row in rows for name in re.findall(r"`([\w/.]+)`", row)]
     assert len(rows) == 10 and all((ROOT / name).exists() for name in named)
+
+
+def test_planted_errors_can_still_be_planted_and_name_tests_that_are_there():
+    for planted in PLANTED:
+        text = (ROOT / planted.file).read_text("utf-8")
+        assert text.count(planted.old) == 1 and planted.new != planted.old, planted
+        assert all((ROOT / test).exists() for test in planted.tests.split()), planted

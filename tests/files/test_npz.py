@@ -89,11 +89,13 @@ def test_rows_of_an_archive_that_is_not_compressed_are_read_where_they_stand(tmp
             read.append(size)
             return super().read(size)
 
+    # its checksum was compared before
+    poses.checked = True
     npz.file.close()
     npz.file = Counted(io.FileIO(tmp_path / "long.npz"))
     with at_most(1e6):
         for start in (999_000, 998_000, 500_000, 500_256, 3):
-            np.testing.assert_array_equal(poses.rows(start, start + 256), values[start : start + 256])
+            assert np.array_equal(poses.rows(start, start + 256), values[start : start + 256])
     assert read == [3 * 256] * 5
     npz.close()
 

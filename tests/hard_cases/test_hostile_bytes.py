@@ -24,7 +24,7 @@ from foreign_layouts import write_colmap
 from pictures import film, radiance_bytes
 from PIL import Image
 from pose_twins import landmarks, points, sam3d_fields
-from rigs import animated_glb
+from rigs import animated_glb, rigged_glb
 from smplh_model import write_model
 from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_face
 
@@ -33,10 +33,13 @@ from avatar.body import builtin_body, read_body
 from avatar.camera import Camera, pinhole, read_camera
 from avatar.face import SHAPES
 from avatar.gltf.avatar_file import read_avatar, write_avatar
+from avatar.head_landmarks import read_head_landmarks
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip
 from avatar.motion.face_csv import HEAD
 from avatar.motion.read import read_motion
+from capture.folder import read_subject, write_subject
+from capture.keypoints.read import read_keypoints
 from capture.read.colmap import _images, _lenses
 from capture.read.landmarks import read_pixels
 from capture.read.opencv_yaml import read_opencv_yaml
@@ -50,6 +53,7 @@ from player.effects.radiance import read_radiance
 from player.face.speech import Speech
 from player.scene.camera_path import CameraPath
 from player.scene.scene_file import read_scene
+from synth.subject import read_subject as read_rigged_subject
 
 # Seconds of processor time, since a loaded machine is no defect, and bytes
 SECONDS, BYTES = 2.0, 64 << 20
@@ -131,8 +135,18 @@ def surface(path: Path) -> None:
 
 def surface_bytes(folder: Path) -> bytes:
     run = pytest.importorskip("train.run", reason="torch is not installed")
-    rows = {name: np.zeros((4, *columns), kind) for name, (kind, columns) in run.SURFACE.items()}
+    rows = {name: np.full((4, *c), 0.25).astype(kind) for name, (kind, c) in run.SURFACE.items()}
     return written(lambda path: np.savez(path, **(rows | {"faces": np.zeros((2, 3), np.uint32)})))(folder)
+
+
+def pickled_model(folder: Path) -> bytes:
+    return pickle.dumps(dict(np.load(write_model(folder / "model.npz"))), 2)
+
+
+def subject_bytes(folder: Path) -> bytes:
+    from painted_capture import free_subject
+
+    return written(lambda path: write_subject(path.with_suffix(".npz"), free_subject("male")))(folder)
 
 
 def mediapipe_bytes(_: Path) -> bytes:
@@ -184,6 +198,13 @@ def colmap(name: str) -> Callable[[Path], bytes]:
 LENS = Camera(pinhole((64, 48), 0.6), np.eye(4), (64, 48))
 CAMERA = {"size": [64, 48], "K": [[50, 0, 32], [0, 50, 24], [0, 0, 1]], "camera_from_world": np.eye(4).tolist()}
 KEYS = [{"t": 0, "eye": [0, 1, 3], "target": [0, 1, 0]}, {"t": 2.5, "eye": [1, 1, 3], "target": [0, 1, 0]}]
+SEEN = [1.5, 2.0, 0.5]
+OPENPOSE = {"people": [{"pose_keypoints_2d": SEEN * 25, "hand_left_keypoints_2d": SEEN * 21}]}
+MMPOSE = {"instance_info": [{"instances": [{"keypoints": [[1, 2.5]] * 133, "keypoint_scores": [0.5] * 133}]}]}
+COCO = [{"image_id": n, "keypoints": SEEN * 133} for n in (3, 4)]
+POINTS = {"pose_landmarks": [{"x": 0.25, "y": 0.5, "z": 0, "visibility": 0.5}] * 33}
+IN_PICTURE = {"image_width": 64, "image_height": 48, "frames": [None, POINTS]}
+FACE = {"points": {n: [k, k * k, 1.5] for k, n in enumerate("abcdef")}, "vertices": dict.fromkeys("abcdef", 3)}
 LANDMARKS = {"pixels": {"nose_tip": {"a.png": [1, 2], "b.png": [3.5, 4]}}, "vertices": {"mole": 7}}
 PERSON = [{"id": 0, "Rh": [[0.1, 0, 0]], "Th": [[0, 1, 0]], "poses": [[0.1] * 72], "shapes": [[0.0] * 10]}]
 SCENE = b'size = [64, 48]\nrate = 25.0\n[[avatar]]\nfile = "a.toml"\n[[camera]]\nkind = "orbit"\n'
@@ -220,6 +241,14 @@ FORMATS = {
     "landmarks": Format("landmarks.json", plain(LANDMARKS), read_pixels, **JSON),
     "scene": Format("scene.toml", plain(SCENE), read_scene, text=True, parts=True),
     "body model": Format("model.npz", written(lambda path: write_model(path.with_suffix(".npz"))), read_body, 50),
+    "pickled body model": Format("model.pkl", pickled_model, read_body, 2),
+    "subject": Format("subject.npz", subject_bytes, read_subject, 30),
+    "rigged subject": Format("a.glb", lambda _: join_glb(*rigged_glb()), read_rigged_subject, 2, **GLTF),
+    "OpenPose": Format("0.json", plain(OPENPOSE), read_keypoints, **JSON),
+    "MMPose": Format("0.json", plain(MMPOSE), read_keypoints, **JSON),
+    "COCO-WholeBody": Format("0.json", plain(COCO), read_keypoints, **JSON),
+    "landmarks in the picture": Format("0.json", plain(IN_PICTURE), read_keypoints, **JSON),
+    "landmarks of a head": Format("landmarks.json", plain(FACE), lambda p: read_head_landmarks(p, 9), **JSON),
     "COLMAP cameras": Format("cameras.bin", colmap("cameras.bin"), _lenses),
     "COLMAP images": Format("images.bin", colmap("images.bin"), lambda p: _images(p, {3: LENS})),
     "OpenCV": Format("intri.yml", plain(YAML), read_opencv_yaml, text=True, parts=True),
@@ -243,7 +272,7 @@ def hostile(kind: Format, path: Path, data: bytes | None = None) -> bool:
         refused = False
     except AssetError as error:
         message = str(error)
-        assert path.name in message and "\n" not in message and len(message) < 600 + len(str(path))
+        assert path.name in message and message.isprintable() and len(message) < 600 + len(str(path))
         refused = True
     assert time.process_time() - began < SECONDS
     return refused
@@ -286,7 +315,8 @@ def test_every_number_may_be_absurd(tmp_path, kind):
             hostile(kind, tmp_path / kind.name, whole[: match.start()] + number + whole[match.end() :])
 
 
-WRONG = [None, True, -1, 0, 1, 52, 5126, 2**40, 10**400, 1e29, -0.5, "", "VEC3", "x", [], {}, [0], [[]], {"a": 1}]
+WRONG = [None, True, -1, 0, 1, 52, 5126, 2**40, 10**400, 1e29, -0.5, 2**70, "", "VEC3", "x\x1b[2J\x07", [], {}, [0],
+         [[]], {"a": 1}]  # fmt: skip
 
 
 def places(value) -> list:

@@ -106,3 +106,10 @@ def test_a_quaternion_without_direction_is_refused(bad):
 def test_a_quaternion_of_any_length_is_normalised(scale):
     q = normalised_quaternion(np.array([0.1, -0.2, 0.3, 0.4]) * scale)
     np.testing.assert_allclose(q, np.array([0.1, -0.2, 0.3, 0.4]) / np.sqrt(0.3), rtol=1e-14)
+
+
+def test_a_quaternion_and_its_negative_are_one_vector_of_at_most_half_a_turn():
+    q = np.random.default_rng(3).normal(size=(200, 4))
+    vector = axis_angle_from_quaternion(q)
+    np.testing.assert_allclose(axis_angle_from_quaternion(-q), vector, rtol=0, atol=1e-12)
+    assert np.linalg.norm(vector, axis=1).max() <= np.pi

@@ -163,3 +163,19 @@ def test_blended_rotation_is_the_rotation_of_the_blend_for_one_bone(body):
     np.testing.assert_allclose(blended_rotations(one, B), B[:, :3, :3], atol=1e-12)
     np.testing.assert_allclose(blended_transforms(one, B), B, atol=1e-12)
     assert np.isfinite(quaternion_from_matrix(B[:, :3, :3])).all()
+
+
+def test_directions_of_bones_on_either_side_of_a_half_turn_turn_by_a_half_turn():
+    """170 degrees one way and 170 the other are 20 apart: their mean is a half turn, not none."""
+    transforms = np.tile(np.eye(4), (2, 1, 1))
+    transforms[:, :3, :3] = matrix_from_axis_angle(np.radians([[170.0, 0, 0], [-170.0, 0, 0]]))
+    skin = SkinWeights(np.array([[0, 1, 0, 0]]), np.array([[0.5, 0.5, 0, 0]], np.float32))
+    np.testing.assert_allclose(blended_rotations(skin, transforms)[0], np.diag([1.0, -1, -1]), rtol=0, atol=1e-12)
+
+
+def test_weights_of_single_precision_do_not_move_what_is_ten_kilometres_away():
+    """.1 + .2 + .3 + .4 of float32 are 1 + 2.2e-8: of 10 km that is .22 mm."""
+    transforms = np.tile(np.eye(4), (4, 1, 1))
+    transforms[:, 0, 3] = 1e4
+    skin = SkinWeights(np.arange(4)[None], np.array([[0.1, 0.2, 0.3, 0.4]], np.float32))
+    assert abs(skin_points(np.zeros((1, 3)), skin, transforms)[0, 0] - 1e4) < 1e-10

@@ -231,3 +231,10 @@ def test_constant_images_have_no_loss_and_finite_gradients(loss, level, within):
     (gradient,) = torch.autograd.grad(value, shown)
     within(value.item(), 1e-6)
     assert torch.isfinite(gradient).all()
+
+
+def test_a_width_that_is_almost_nothing_and_a_ray_deep_in_the_body_stay_bounded():
+    weights, left = section_weights(torch.tensor([[10.0, 5.0, -5.0, -10.0]]), 1e-39)
+    assert torch.isfinite(weights).all() and torch.isfinite(left).all()
+    # a stray ray counts as wrong, not as a cliff
+    assert mask_loss(torch.tensor([-1000.0]), torch.tensor([0.0])) == 20

@@ -237,7 +237,7 @@ def test_a_run_is_rebuilt_from_its_own_settings_when_the_preset_was_edited(captu
     assert len(variant(again, capture, "no_L_g").surface.vertices) > 1000
 
     facts = json.loads((run.path / "run.json").read_text())
-    del facts["settings"]["union"]
+    del facts["settings"]["union"], facts["check"]
     (run.path / "run.json").write_text(json.dumps(facts))
     with pytest.raises(AssetError, match=r"run\.json: settings: .settings. needs the key union"):
         run_folder.read_run(run.path)

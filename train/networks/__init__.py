@@ -10,13 +10,17 @@ All take points in the part's unit box, [-1, 1] in each axis (`PartField.unit`):
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from command.settings import AtLeast, AtMost
 from train.deform import Displacement, positional_encoding
+
+# each is an object of its own
+Layers = Annotated[int, AtLeast(1), AtMost(64)]
 
 
 class FeatureGrid(nn.Module):

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from train.deform import Displacement
-from train.networks import FeatureGrid, PartNetworks, SmallColor, TemplateCorrection, frame_codes
+from train.networks import FeatureGrid, Layers, PartNetworks, SmallColor, TemplateCorrection, frame_codes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class HashNetworks:
 
     kind: ClassVar[str] = "hash"
     cell: float  # finest level, metres
-    levels: int = 16
+    levels: Layers = 16
     channels: int = 2  # per level
     rows: int = 2**19  # a level's table has at most so many
     coarsest: int = 16  # cells along the box's longest side
@@ -113,7 +113,7 @@ class HashGrid(FeatureGrid):
         growth = (finest / networks.coarsest) ** (1 / max(levels - 1, 1))
         resolution = [math.floor(networks.coarsest * growth**level + 1e-6) for level in range(levels)]
         aspect = (half / half.max()).double()
-        points = torch.tensor([[math.ceil(r * float(a)) + 1 for a in aspect] for r in resolution])
+        points = torch.tensor([[math.ceil(r * float(a)) + 1 for a in aspect] for r in resolution], device="cpu")
         wanted = points.prod(1)
         rows = wanted.clamp_max(networks.rows)
         put = self.register_buffer

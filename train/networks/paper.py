@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from train.deform import Displacement, positional_encoding
-from train.networks import ColorInputs, Geometry, PartNetworks, frame_codes
+from train.networks import ColorInputs, Geometry, Layers, PartNetworks, frame_codes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +29,9 @@ class PaperNetworks:
 
     kind: ClassVar[str] = "paper"
     width: int = 256
-    geometry_layers: int = 8
-    color_layers: int = 4
-    displacement_layers: int = 8
+    geometry_layers: Layers = 8
+    color_layers: Layers = 4
+    displacement_layers: Layers = 8
     point_frequencies: int = 6
     direction_frequencies: int = 4
     # numbers that F_s hands to F_c

@@ -190,3 +190,8 @@ LIES = {
 def test_what_is_no_packet_is_refused(lie):
     with pytest.raises(OscError):
         parse_packet(LIES[lie])
+
+
+def test_a_bundle_whose_last_number_is_cut_off_is_refused_by_its_element():
+    with pytest.raises(OscError, match="an element of 12 bytes in a bundle with 8 left"):
+        parse_packet(build_bundle([build_message("/a", 1.5)])[:-4])

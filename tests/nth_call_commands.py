@@ -1,0 +1,129 @@
+"""What is tried by nth_call.py: commands that write, at tiny sizes, and parts of `selfscan play` without its window."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from command.errors import AssetError
+from files.whole import whole_file, whole_folder
+
+BODY = ["player.film.command", "player.film.render", "av"]
+
+
+def rendered(out: str, old: str, new: str, *more: str) -> dict:
+    """`selfscan render`: other frames of one motion."""
+    shared = ["render", "builtin", "--motion", "counting", "--size", "32x32", "-o", "{}/" + out, *more]
+    return {"modules": BODY, "old": [*shared, *old.split()], "new": [*shared, *new.split()], "out": out}
+
+
+def exported(out: str) -> dict:
+    """`selfscan export`: two motions."""
+    both = [["export", "builtin", "--motion", motion, "-o", "{}/" + out] for motion in ("counting", "walking")]
+    return {"modules": ["player.export_command"], "old": both[0], "new": both[1], "out": out, "most": 12}
+
+
+def called(name: str, out: str, modules: list[str]) -> dict:
+    """A function below, told which of the two it is to write."""
+    return {"modules": modules, "old": ["old"], "new": ["new"], "out": out, "call": f"nth_call_commands:{name}"}
+
+
+def keep_file(folder: Path, arguments: list[str]) -> int:
+    return said(lambda: _write(folder / "a.bin", arguments[0]))
+
+
+def _write(path: Path, text: str) -> None:
+    with whole_file(path) as file:
+        file.write(text.encode() * 9000)
+
+
+def keep_folder(folder: Path, arguments: list[str]) -> int:
+    def write() -> None:
+        with whole_folder(folder / "frames") as made:
+            (made / "inner").mkdir()
+            for name in "ab"[: len(arguments[0]) - 1]:
+                (made / "inner" / name).write_text(arguments[0])
+
+    return said(write)
+
+
+def keep_pose(folder: Path, arguments: list[str]) -> int:
+    """A pose of one's own, in place of another."""
+    from player.pose.history import Pose
+    from player.pose.library import Library
+
+    pose = Pose(np.full((52, 3), 0.1 * len(arguments[0])) + (arguments[0] == "new"), np.zeros(3))
+    return said(lambda: Library(folder / "poses").write("mine", pose))
+
+
+def record_take(folder: Path, arguments: list[str]) -> int:
+    """Some frames of a live source, recorded to the end."""
+    from player.live.frame import LivePose
+    from player.live.take import Take
+
+    def record() -> None:
+        take = Take(folder / "take.npz")
+        for number in range(6):
+            pose = LivePose(np.full((52, 3), 0.01 * number + (arguments[0] == "new")), np.zeros(3))
+            take.add(number / 30, pose)
+        print("\n".join(take.finish()))
+        if take.stopped:
+            raise AssetError(f"{take.path}: stopped: {take.stopped}")
+
+    return said(record)
+
+
+def shorter_take(path: Path) -> bool:
+    """Whether it is the beginning of one: a disk that is full stops a take, and what was recorded is kept."""
+    from avatar.motion.read import read_motion
+
+    motion = read_motion(path)
+    poses = motion.read(0, motion.frames).axis_angle[:, 0, 0]
+    return motion.frames < 6 and bool(np.abs(np.diff(poses) - 0.01).max(initial=0) < 1e-6)
+
+
+def train_tiny(folder: Path, arguments: list[str]) -> int:
+    """`selfscan train --resume` by the preset of tiny.py, in this process."""
+    from tiny import TINY, tiny_training
+
+    from selfscan.__main__ import main
+
+    capture, seed = arguments[1:]
+    try:
+        tiny_training(Path(capture), folder / "run", "--seed", seed, "--resume", preset=TINY,
+                      command=lambda words: main(["train", *words]))  # fmt: skip
+    except AssertionError:
+        return 1
+    return 0
+
+
+def said(act: Callable[[], object]) -> int:
+    """The exit code of an act, as `selfscan` has it; this process does nothing else."""
+    import selfscan.__main__ as command
+
+    def dispatch(name: str, rest: list[str]) -> int:
+        act()
+        return 0
+
+    command._dispatch = dispatch
+    return command._run(["play"])
+
+
+COMMANDS = {
+    "a file": called("keep_file", "a.bin", []),
+    "a folder": called("keep_folder", "frames", []),
+    "pose library": called("keep_pose", "poses/mine.npz", ["player.pose.library"]),
+    "play's take": called("record_take", "take.npz", ["player.live.take"]) | {"also": "shorter_take"},
+}
+SLOW = {
+    "export to AMASS": exported("out.npz"),
+    "export to BVH": exported("out.bvh"),
+    "render to a picture": rendered("out.png", "--frame 0", "--frame 9"),
+    "render to frames": rendered("out", "--frames 0:3", "--frames 9:11"),
+    "render to a film": rendered("out.mp4", "--frames 0:3", "--frames 9:11"),
+    "render --resume": rendered("out.mp4", "--frames 0:3", "--frames 9:11", "--resume") | {"most": 30},
+    "web": {
+        "modules": ["player.web_command"], "old": ["web", "mannequin", "-o", "{}/out.html"],
+        "new": ["web", "mannequin:female", "-o", "{}/out.html"], "out": "out.html",
+    },
+}  # fmt: skip
