@@ -33,9 +33,7 @@ MESH = (
 )  # fmt: skip
 
 
-def mediapipe_keypoints(
-    path: Path, frames: list[Frame], facts: FilmFacts, size: tuple[int, int] | None
-) -> Keypoints:
+def mediapipe_keypoints(path: Path, frames: list[Frame], facts: FilmFacts, size: tuple[int, int] | None) -> Keypoints:
     """The record of frames of landmarks; `size` is the pictures' where the file does not have it.
 
     Raises:
@@ -63,4 +61,4 @@ def mediapipe_keypoints(
             rows[k, -len(FACE) :, 2] = 1.0
     if not rows[:, :, 2].any():
         raise AssetError(f"{path}: no pose_landmarks or hand landmarks in the picture in {len(frames)} frames")
-    return keypoints_of(NAMES, rows, size)
+    return keypoints_of(NAMES, rows, size, order="MediaPipe")

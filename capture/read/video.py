@@ -16,7 +16,7 @@ import numpy as np
 from avatar.skeleton import PARTS
 from capture.frame_files import sized_picture, write_picture
 from capture.keypoints.record import Keypoints
-from capture.raw.four_videos import NAMES, judge_videos, part_keypoints
+from capture.raw.four_videos import NAMES, all_keypoints, judge_videos
 from capture.raw.glance import Glance
 from capture.raw.judge import Judged, refusal
 from capture.raw.masks import soft_mask
@@ -59,7 +59,7 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
     """
     check_folder(out)
     videos = {part: open_video(path) for part, path in given.videos.items()}
-    keypoints = {part: part_keypoints(given.keypoints, part, video) for part, video in videos.items()}
+    keypoints = all_keypoints(given.keypoints, videos)
     work = _work_folder(out, given)
     judged = judge_videos(videos, keypoints, work)
     why = refusal(judged)
@@ -137,9 +137,7 @@ def _prepared(job: _Chosen, report: Reporter) -> RawVideo:
                     at.video.focal, track)  # fmt: skip
 
 
-def _own_masks(
-    judged: Judged, pictures: list[Path], keypoints: Keypoints, paths: list[Path], report: Reporter
-) -> None:
+def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths: list[Path], report: Reporter) -> None:
     """Masks from the video itself."""
     missing = [i for i, path in enumerate(paths) if not path.exists()]
     if not missing:

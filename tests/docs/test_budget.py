@@ -12,15 +12,15 @@ BUDGET = {
     "command": 1_254,
     "avatar": 8_266,
     "geometry": 1_728,
-    "capture": 11_365,
+    "capture": 11_538,
     "train": 5_365,
     "bake": 4_439,
     "player": 18_674,
     "shaders": 971,
-    "synth": 2_754,
+    "synth": 2_755,
     "bench": 5_562,
     "selfscan": 432,
-    "tests": 33_082,
+    "tests": 33_144,
 }
 
 

@@ -34,6 +34,8 @@ from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip
 from avatar.motion.read import read_motion
+from capture.keypoints.orders import described
+from capture.keypoints.read import read_keypoints
 from capture.read.colmap import _images, _lenses
 from capture.read.landmarks import read_pixels
 from capture.read.opencv_yaml import read_opencv_yaml
@@ -135,6 +137,11 @@ def mediapipe_bytes(_: Path) -> bytes:
     return json.dumps({"frames": [frame | {"right_hand_world_landmarks": points(right[0])}]}).encode()
 
 
+def found(path: Path) -> None:
+    keypoints = read_keypoints(path, frames=9)
+    assert np.isfinite(keypoints.pixels[keypoints.confidence > 0]).all() and len(described(keypoints)) < 200
+
+
 def sam3d_bytes(folder: Path) -> bytes:
     return written(lambda path: np.savez(path, **sam3d_fields(np.zeros((1, 52, 3)), np.zeros((1, 3)))))(folder)
 
@@ -157,6 +164,8 @@ CAMERA = {"size": [64, 48], "K": [[50, 0, 32], [0, 50, 24], [0, 0, 1]], "camera_
 KEYS = [{"t": 0, "eye": [0, 1, 3], "target": [0, 1, 0]}, {"t": 2.5, "eye": [1, 1, 3], "target": [0, 1, 0]}]
 LANDMARKS = {"pixels": {"nose_tip": {"a.png": [1, 2], "b.png": [3.5, 4]}}, "vertices": {"mole": 7}}
 PERSON = [{"id": 0, "Rh": [[0.1, 0, 0]], "Th": [[0, 1, 0]], "poses": [[0.1] * 72], "shapes": [[0.0] * 10]}]
+POINTS = (np.random.default_rng(3).uniform(0, 1, (25, 3)) * (900, 400, 1)).round(3).ravel().tolist()
+NESTED = {"keypoints": [[9.5, 3], [4, 5]] * 13, "keypoint_scores": [0.5, 1] * 13}
 SCENE = b'size = [64, 48]\nrate = 25.0\n[[avatar]]\nfile = "a.toml"\n[[camera]]\nkind = "orbit"\n'
 YAML = b'%YAML:1.0\nnames:\n   - "1"\nK_1: !!opencv-matrix\n   rows: 1\n   cols: 2\n   dt: d\n   data: [1., 2.]\n'
 JSON = {"text": True, "split": lambda data: (json.loads(data),), "join": lambda value: json.dumps(value).encode()}
@@ -181,6 +190,9 @@ FORMATS = {
     "bvh": Format("a.bvh", written(standing), finite_motion, parts=True),
     "EasyMocap": Format("000000.json", plain(PERSON), finite_motion, **JSON),
     "MediaPipe": Format("a.json", mediapipe_bytes, finite_motion, **JSON),
+    "OpenPose's keypoints": Format("a.json", plain({"people": [{"pose_keypoints_2d": POINTS}] * 2}), found, **JSON),
+    "results of keypoints": Format("a.json", plain([{"image_id": "1.jpg", "keypoints": POINTS}] * 2), found, **JSON),
+    "MMPose's keypoints": Format("a.json", plain({"instance_info": [{"instances": [NESTED]}]}), found, **JSON),
     "SAM 3D Body": Format("a.npz", sam3d_bytes, finite_motion, 80),
     "camera": Format("camera.json", plain(CAMERA), read_camera, **JSON),
     "camera path": Format("path.json", plain({"keys": KEYS}), CameraPath.read, **JSON),
