@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from avatar.skeleton import PARTS
+from capture.keypoints.orders import described
 from capture.keypoints.read import WHAT, read_keypoints
 from capture.keypoints.record import Keypoints
 from capture.raw.glance import Glance, glance
 from capture.raw.judge import Judged, judge
+from capture.raw.masks import masked_by
 from capture.raw.video_file import VideoFile, open_video
 from command.errors import AssetError
 from command.progress import Progress
@@ -56,6 +58,13 @@ def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
         if a.is_file() and b.is_file() and filecmp.cmp(a, b, shallow=False):
             raise AssetError(f"{b}: is the same film as {a}; leave it out: what is missing is cut from the body's")
     return out
+
+
+def found_lines(videos: Mapping[str, Judged], masks: str | None = None) -> list[str]:
+    """What keypoints are there of each video, and what its masks are made by (None: `masked_by`)."""
+    seen = {at.glance.video.name: (at.empty, at.glance.keypoints) for at in videos.values()}
+    return [f"{name}: keypoints: {described(points)}; masks: {masks or masked_by(empty)}"
+            for name, (empty, points) in seen.items()]  # fmt: skip
 
 
 def unfilmed_lines(videos: Mapping[str, Judged]) -> list[str]:
