@@ -67,8 +67,10 @@ def hull(keypoints: Keypoints, frame: int, shape: tuple[int, int]) -> Bool[Array
 
 
 def bones(keypoints: Keypoints, frame: int, shape: tuple[int, int]) -> Bool[Array, "height width"]:
-    """Thinner lines, for what takes them as they are."""
-    return _within(keypoints, frame, shape, lambda name: FINGER_CORE if any(f in name for f in FINGERS) else BONE)
+    """Thinner lines, for what takes them as they are; one shoulder stands for both only where nothing else is seen."""
+    reach = lambda name: FINGER_CORE if any(f in name for f in FINGERS) else BONE
+    strict = _within(keypoints, frame, shape, reach)
+    return strict if strict.any() else _within(keypoints, frame, shape, reach, True)
 
 
 def near_bones(keypoints: Keypoints, frame: int, shape: tuple[int, int]) -> Bool[Array, "height width"]:

@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_254,
     "avatar": 8_266,
     "geometry": 1_728,
-    "capture": 11_538,
+    "capture": 11_691,
     "train": 5_365,
     "bake": 4_439,
     "player": 18_674,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_755,
     "bench": 5_562,
     "selfscan": 432,
-    "tests": 33_144,
+    "tests": 33_157,
 }
 
 
