@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_254,
     "avatar": 8_266,
     "geometry": 1_728,
-    "capture": 11_691,
+    "capture": 11_694,
     "train": 5_365,
     "bake": 4_439,
     "player": 18_674,
