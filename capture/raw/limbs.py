@@ -41,8 +41,8 @@ LIMBS = limbs()
 
 
 def trunk_length(keypoints: Keypoints, frame: int, size: tuple[int, int]) -> float:
-    """Pixels that half a metre of the person takes, from what is seen: trunk, forearm or hand, else shoulders as wide as
-    they nearly ever are in the film: a close-up turns."""
+    """Pixels that half a metre of the person takes, from what is seen: trunk, forearm or hand, else shoulders as wide
+    as they nearly ever are in the film: a close-up turns."""
     for a, b, share in (
         ("left_shoulder", "left_hip", 1.0), ("right_shoulder", "right_hip", 1.0), ("left_elbow", "left_wrist", 2.0),
         ("right_elbow", "right_wrist", 2.0), ("left_hand", "left_middle1", 5.5), ("right_hand", "right_middle1", 5.5),
