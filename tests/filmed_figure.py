@@ -11,7 +11,7 @@ import av
 import numpy as np
 from scipy import ndimage
 
-from capture.keypoints.coco_wholebody import NAMES
+from capture.keypoints.orders import COCO_WHOLEBODY as NAMES
 from capture.keypoints.record import hand_points
 
 SIZE = (240, 180)

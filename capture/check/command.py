@@ -8,7 +8,7 @@ from capture.check.report import CaptureReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
 from capture.check.verdict import verdict
 from capture.folder import Capture, read_capture
-from capture.raw.four_videos import examine_videos, holds_videos, unfilmed_lines
+from capture.raw.four_videos import examine_videos, found_lines, holds_videos, unfilmed_lines
 from capture.raw.judge import Verdict, verdict_of
 from capture.videos import even
 from command.errors import AssetError
@@ -47,7 +47,8 @@ def _check_videos(arguments: CheckCommand) -> int:
     """Judge videos as filmed."""
     videos = examine_videos(arguments.capture, arguments.keypoints)
     judged = verdict_of(replace(p, part=at.glance.video.name) for at in videos.values() for p in at.problems)
-    print("\n".join([*(at.line() for at in videos.values()), *unfilmed_lines(videos), "", *judged.lines()]))
+    found = [*(at.line() for at in videos.values()), *found_lines(videos), *unfilmed_lines(videos)]
+    print("\n".join([*found, "", *judged.lines()]))
     facts = {part: at.facts() for part, at in videos.items()}
     _write_facts(arguments, {"videos": facts, "usable": judged.usable, "verdict": judged.line()})
     return 0 if judged.usable else 1

@@ -22,8 +22,8 @@ class CheckCommand:
     ] = None
     keypoints: Annotated[
         Path | None, Option(metavar="DIR"),
-        "of videos as filmed: keypoints in DIR/body, DIR/head, DIR/hand_left, DIR/hand_right (OpenPose, "
-        "COCO-WholeBody, MediaPipe), one for each frame (default: keypoints in the folder beside them)"
+        "of videos as filmed: keypoints in DIR/body, DIR/head, DIR/hand_left, DIR/hand_right (docs/"
+        "capture.md: detectors), one for each frame (default: keypoints in the folder beside them)"
     ] = None
     json: Annotated[Path | None, Option(metavar="FILE"), "write everything measured and the verdict to FILE"] = None
 

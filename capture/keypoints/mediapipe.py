@@ -62,4 +62,4 @@ def mediapipe_keypoints(path: Path, frames: list[Frame], facts: FilmFacts, size:
             rows[k, -len(FACE) :, 2] = 1.0
     if not rows[:, :, 2].any():
         raise AssetError(f"{path}: no pose_landmarks or hand landmarks in the picture in {len(frames)} frames")
-    return keypoints_of(NAMES, rows, size)
+    return keypoints_of(NAMES, rows, size, order="MediaPipe")

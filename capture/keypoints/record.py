@@ -22,6 +22,8 @@ FACE = tuple(f"face_{k:02d}" for k in range(68))
 LARGEST = 1e5
 # a quarter of an hour at 60 a second: a turn takes some 20 s, and each frame takes memory, seen or not
 MOST_FRAMES = 54_000
+# confidences that are zeros
+TINY = 1e-6
 
 
 def hand_points(side: str) -> tuple[str, ...]:
@@ -41,6 +43,8 @@ class Keypoints:
     size: tuple[int, int] | None  # width and height of the pictures, where the files have them
     # size of the second largest person, of the largest one's; 0: alone. None: the files hold one person at most
     others: Float[Array, "frames"] | None = None
+    # the order that the files list the body's points in (capture/keypoints/orders.py)
+    order: str = ""
 
     def seen(self, name: str) -> Float[Array, "frames 3"]:
         """x, y and confidence of one point; confidence 0 throughout where the detector has no such point."""
@@ -62,30 +66,36 @@ def keypoints_of(
     rows: Float[Array, "frames points 3"],
     size: tuple[int, int] | None,
     others: Float[Array, "frames"] | None = None,
+    order: str = "",
 ) -> Keypoints:
     """The record of rows of x, y and confidence; what has confidence 0 loses its pixel, confidences are cut at 1."""
     confidence = np.clip(rows[:, :, 2], 0, 1)
     pixels = np.where(confidence[:, :, None] > 0, rows[:, :, :2], np.nan)
-    return Keypoints(names, pixels, confidence, size, others)
+    return Keypoints(names, pixels, confidence, size, others, order)
 
 
-def keypoints_of_people(
-    place: Path, names: tuple[str, ...], pictures: list[list[Float[Array, "points 3"]]]
-) -> Keypoints:
-    """The record of the largest person in each picture; pixels that count from the middle of the first one.
+def largest_people(
+    place: Path, pictures: list[list[Float[Array, "points 3"]]]
+) -> tuple[Float[Array, "frames points 3"], Float[Array, "frames"]]:
+    """The largest person in each picture, and how large the next one is; pixels that count from the middle of the first
+    one now count from its corner.
 
     Raises:
-        AssetError: no person in any picture, or too many pictures; the message begins with `place`.
+        AssetError: no person in any picture, people of different numbers of points, or too many pictures; the message
+            begins with `place`.
     """
     check_count(place, len(pictures))
-    if not any(pictures):
+    counts = sorted({len(person) for people in pictures for person in people})
+    if not counts:
         raise AssetError(f"{place}: no person in any of {len(pictures)} frames")
-    rows, others = np.zeros((len(pictures), len(names), 3)), np.zeros(len(pictures))
+    if len(counts) > 1:
+        raise AssetError(f"{place}: expected as many points throughout, found people of {counts[0]} and {counts[1]}")
+    rows, others = np.zeros((len(pictures), counts[0], 3)), np.zeros(len(pictures))
     for k, people in enumerate(pictures):
         if people:
             rows[k], others[k] = _largest(people)
     rows[:, :, :2] += 0.5
-    return keypoints_of(names, rows, None, others)
+    return rows, others
 
 
 def check_count(place: Path, frames: int) -> None:
@@ -107,16 +117,22 @@ def _largest(people: list[Float[Array, "points 3"]]) -> tuple[Float[Array, "poin
     return people[order[0]], second / first if first > 0 else 0.0
 
 
-def triples(place: str, value: Any, points: int) -> Float[Array, "points 3"]:
-    """`points` times x, y, confidence in one list of numbers.
+def triples(place: str, value: Any, counts: tuple[int, ...]) -> Float[Array, "points 3"]:
+    """x, y, confidence of one of so many points in one list of numbers.
 
     Raises:
         AssetError: another length, or what is no finite number; the message begins with `place`.
     """
-    if not isinstance(value, list) or len(value) != 3 * points:
+    if not isinstance(value, list) or len(value) % 3 or len(value) // 3 not in counts:
         found = f"{len(value)} numbers" if isinstance(value, list) else repr(value)[:40]
-        raise AssetError(f"{place} should be {points} times x, y, confidence, is {found}")
-    return checked(place, np.reshape([number(place, v) for v in value], (points, 3)))
+        raise AssetError(f"{place} should be {in_words(counts)} times x, y, confidence, is {found}")
+    return checked(place, np.reshape([number(place, v) for v in value], (-1, 3)))
+
+
+def in_words(counts: tuple[int, ...]) -> str:
+    """ "17, 18 or 25" """
+    first, last = ", ".join(map(str, counts[:-1])), str(counts[-1])
+    return f"{first} or {last}" if first else last
 
 
 def number(place: str, value: Any) -> float:
@@ -127,7 +143,7 @@ def number(place: str, value: Any) -> float:
 
 
 def checked(place: str, rows: Float[Array, "points 3"]) -> Float[Array, "points 3"]:
-    """The rows, if no confidence is negative."""
-    if (rows[:, 2] < 0).any():
+    """The rows, if no confidence is negative; OpenPose writes -1e-9 for some of its zeros."""
+    if (rows[:, 2] < -TINY).any():
         raise AssetError(f"{place}: confidence should not be negative, is {rows[:, 2].min():g}")
     return rows

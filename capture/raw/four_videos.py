@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from avatar.skeleton import PARTS
-from capture.keypoints.read import read_keypoints
+from capture.keypoints.orders import described
+from capture.keypoints.read import WHAT, read_keypoints
 from capture.keypoints.record import Keypoints
 from capture.raw.glance import Glance, glance
 from capture.raw.judge import Judged, judge
+from capture.raw.masks import masked_by
 from capture.raw.video_file import VideoFile, open_video
 from command.errors import AssetError
 from command.progress import Progress
@@ -27,7 +29,7 @@ SHARES = {"head": 0.14, "hand_left": 0.11, "hand_right": 0.11}
 ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".webm")
 # fields of what was seen of a video that are kept
 SEEN = ("times", "small", "sharpness")
-KEYPOINTS = "keypoints (OpenPose, COCO-WholeBody, MediaPipe) of body, head, hand_left and hand_right"
+KEYPOINTS = f"{WHAT} of body, head, hand_left and hand_right"
 
 
 def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
@@ -58,6 +60,13 @@ def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
     return out
 
 
+def found_lines(videos: Mapping[str, Judged], masks: str | None = None) -> list[str]:
+    """What keypoints are there of each video, and what its masks are made by (None: `masked_by`)."""
+    seen = {at.glance.video.name: (at.empty, at.glance.keypoints) for at in videos.values()}
+    return [f"{name}: keypoints: {described(points)}; masks: {masks or masked_by(empty)}"
+            for name, (empty, points) in seen.items()]  # fmt: skip
+
+
 def unfilmed_lines(videos: Mapping[str, Judged]) -> list[str]:
     """What the body's film gives for each part without one."""
     at = videos["body"].glance
@@ -76,8 +85,17 @@ def holds_videos(folder: Path) -> bool:
     return not (folder / "capture.json").exists() and any((folder / name).is_file() for name in names)
 
 
-def part_keypoints(folder: Path, part: str, video: VideoFile) -> Keypoints:
-    """The keypoints of one video out of a folder of four.
+def all_keypoints(folder: Path, videos: Mapping[str, VideoFile]) -> dict[str, Keypoints]:
+    """The keypoints of each video out of a folder; where orders are told by bone lengths the body's, which come first,
+    hold for all. Errors: `part_keypoints`."""
+    out: dict[str, Keypoints] = {}
+    for part in sorted(videos, key=PARTS.index):
+        out[part] = part_keypoints(folder, part, videos[part], out["body"].order if "body" in out else "")
+    return out
+
+
+def part_keypoints(folder: Path, part: str, video: VideoFile, like: str = "") -> Keypoints:
+    """The keypoints of one video out of a folder of four, whose other films have their points in the order `like`.
 
     Raises:
         AssetError: there are none, or they are of pictures of another size.
@@ -85,7 +103,7 @@ def part_keypoints(folder: Path, part: str, video: VideoFile) -> Keypoints:
     for name in NAMES[part]:
         for path in (folder / name, folder / f"{name}.json"):
             if path.exists():
-                found = read_keypoints(path, size=video.size)
+                found = read_keypoints(path, size=video.size, frames=video.frames, like=like)
                 if found.size is not None and found.size != video.size:
                     raise AssetError(f"{path}: keypoints of {found.size} pictures, {video.path} has {video.size}")
                 return found
@@ -103,7 +121,7 @@ def examine_videos(paths: Sequence[Path], keypoints: Path | None) -> dict[str, J
     videos = {part: open_video(path) for part, path in files.items()}
     if not folder.is_dir():
         raise AssetError(f"{folder}: expected {KEYPOINTS}; --keypoints DIR says where they are")
-    return judge_videos(videos, {part: part_keypoints(folder, part, video) for part, video in videos.items()})
+    return judge_videos(videos, all_keypoints(folder, videos))
 
 
 def judge_videos(

@@ -18,7 +18,8 @@ from skimage.segmentation import random_walker
 
 from capture.keypoints.record import SIDES, Keypoints
 from capture.raw.glance import SURE
-from capture.raw.limbs import hull, lines
+from capture.raw.grab_cut import INSTALL, can_cut, grab_cut
+from capture.raw.limbs import bones, hull, lines, near_bones
 from capture.raw.plate import Plate, smoothed
 from geometry.cells import distance_to, nearest_marked, pieces
 
@@ -52,21 +53,51 @@ def soft_mask(
     knees = [keypoints.seen(f"{side}_knee")[frame] for side in SIDES]
     floor = int(max(0.0, min((y for _, y, sure in knees if sure > SURE), default=image.shape[0])))
     person = _differs(image, plate, gain, floor)
-    if not plate.known.all():
-        may = hull(keypoints, frame, image.shape[:2])
-        by_color = _by_color(image, core, may, room, plate.known)
-        person = np.where(plate.known, person, by_color)
-        person[~may] = 0
-    share = _walked(image, person, core, plate.known)
-    inside = _whole(share > 0.5, keypoints, frame)
+    known = plate.known
     rim = max(3.0, RIM * min(image.shape[:2]) / 1080)
+    may, thin = (find(keypoints, frame, image.shape[:2]) for find in (hull, bones))
+    if known.all() or may.all() or not thin.any() or not can_cut():
+        if not known.all():
+            person = np.where(known, person, _by_color(image, core, may, room, known))
+            person[~may] = 0
+        inside = _whole(_walked(image, person, core, known) > 0.5, keypoints, frame)
+    else:
+        # where the room is known and seen it is no person
+        may &= ~known | (person > 1 - CERTAIN) | thin
+        begun = np.where(known, person > CERTAIN, near_bones(keypoints, frame, image.shape[:2]))
+        inside = _whole(grab_cut(image, thin, begun, may) > 0.5, keypoints, frame)
+        room, known = _filled(image, room, known, inside, rim)
     out = np.zeros(inside.shape, np.uint8)
     # the person and some pixels round it
     for rows, columns in ndimage.find_objects(inside.astype(int)):
         margin = round(8 * rim)
         window = tuple(slice(max(0, s.start - margin), s.stop + margin) for s in (rows, columns))
-        out[window] = _rim(image[window], room[window], plate.known[window], inside[window], rim, APART * plate.noise)
+        out[window] = _rim(image[window], room[window], known[window], inside[window], rim, APART * plate.noise)
     return out
+
+
+def masked_by(empty: Bool[Array, "frames"]) -> str:
+    """What `soft_mask` goes by in a film, in words."""
+    if empty.any():
+        return "from the empty room"
+    if can_cut():
+        return "from the room as far as it is seen beside the person, the rest by GrabCut from keypoints"
+    return f"from the room as far as it is seen beside the person; GrabCut is far better: {INSTALL}"
+
+
+def _filled(
+    image: Float[Array, "height width 3"],
+    room: Float[Array, "height width 3"],
+    known: Bool[Array, "height width"],
+    inside: Bool[Array, "height width"],
+    rim: float,
+) -> tuple[Float[Array, "height width 3"], Bool[Array, "height width"]]:
+    """The room with the mean of what lies beside the person where it is not known, and where it then is."""
+    free = (~np.asarray(ndimage.binary_dilation(inside, iterations=round(rim)), bool)).astype(np.float32)
+    weight = ndimage.gaussian_filter(free, 2 * rim)
+    beside = np.stack([ndimage.gaussian_filter(image[..., c] * free, 2 * rim) for c in range(3)], -1)
+    beside /= np.maximum(weight, 1e-3)[..., None]
+    return np.where(known[..., None], room, beside), known | (weight > 0.02)
 
 
 def _gain(image: Float[Array, "height width 3"], plate: Plate, keypoints: Keypoints, frame: int) -> Float[Array, "3"]:

@@ -51,7 +51,7 @@ class FilmOptions:
     keypoints: Annotated[
         str,
         Option(metavar="auto|DIR"),
-        "folder with keypoints of body, head, hand_left and hand_right (OpenPose, COCO-WholeBody, MediaPipe), for each "
+        "folder with keypoints of body, head, hand_left and hand_right (docs/capture.md: detectors), for each "
         "frame of the video; auto: the folder keypoints beside the videos, else found by MediaPipe with --models, and "
         "kept in OUT.keypoints",
     ] = "auto"

@@ -16,7 +16,7 @@ import numpy as np
 from avatar.skeleton import PARTS
 from capture.frame_files import sized_picture, write_picture
 from capture.keypoints.record import Keypoints
-from capture.raw.four_videos import NAMES, judge_videos, part_keypoints
+from capture.raw.four_videos import NAMES, all_keypoints, found_lines, judge_videos
 from capture.raw.glance import Glance
 from capture.raw.judge import Judged, refusal
 from capture.raw.masks import soft_mask
@@ -60,7 +60,7 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
     """
     check_folder(out)
     videos = {part: open_video(path) for part, path in given.videos.items()}
-    keypoints = {part: part_keypoints(given.keypoints, part, video) for part, video in videos.items()}
+    keypoints = all_keypoints(given.keypoints, videos)
     work = _work_folder(out, given)
     judged = judge_videos(videos, keypoints, work)
     why = refusal(judged)
@@ -71,6 +71,7 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
     notes = [problem.line(videos[part].name) for part, at in judged.items() for problem in at.problems]
     chosen = {part: select(at, given.frames) for part, at in judged.items()}
     notes += [kept.line(videos[part].name) for part, kept in chosen.items()]
+    notes += found_lines(judged, "given" if given.masks else None)
     jobs = {part: _Chosen(given, judged[part], kept, work / part) for part, kept in chosen.items()}
     workers = min(os.cpu_count() or 1, len(jobs))
     board = ProgressBoard({part: len(kept.frames) for part, kept in chosen.items()}, workers)
@@ -139,9 +140,7 @@ def _prepared(job: _Chosen, report: Reporter) -> RawVideo:
                     at.video.focal, track)  # fmt: skip
 
 
-def _own_masks(
-    judged: Judged, pictures: list[Path], keypoints: Keypoints, paths: list[Path], report: Reporter
-) -> None:
+def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths: list[Path], report: Reporter) -> None:
     """Masks from the video itself."""
     missing = [i for i, path in enumerate(paths) if not path.exists()]
     if not missing:
@@ -166,12 +165,21 @@ def _given_masks(folder: Path, at: Glance, chosen: KeptFrames, paths: list[Path]
             f"{place}: expected a mask for each of {len(at.times)} frames of {at.video.name}, found {len(files)}"
         )
     for number, path in zip(chosen.frames, paths, strict=True):
-        mask = sized_picture(files[number], at.video.size, "as the video", "L")
+        mask = _grey(files[number], at.video.size)
         if mask.max(initial=0) <= 1:
             mask = 255 * mask
         if not mask.any():
             raise AssetError(f"{files[number]}: mask shows no person in frame {number} of {at.video.name}")
         write_picture(path, mask)
+
+
+def _grey(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """A mask, 0 to 255 or 0 and 1; AssetError where it has colors or small numbers, which are labels of parts."""
+    stored = sized_picture(path, size, "as the video")
+    # a JPEG's greys may differ a little
+    if np.ptp(stored, axis=-1).max() > 8 or 1 < stored.max() < 128:
+        raise AssetError(f"{path}: mask should be 255 where the person is and 0 elsewhere, is a picture of labels")
+    return stored[..., 0]
 
 
 def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: VideoImport, notes: list[str]) -> None:

@@ -14,7 +14,8 @@ from numpy import ndarray as Array
 
 from avatar.camera import Camera, project
 from avatar.skeleton import JOINTS, joint_transforms
-from capture.keypoints.openpose import BODY_25, FACE_POINTS
+from capture.keypoints.openpose import FACE_POINTS
+from capture.keypoints.orders import BODY_25
 from capture.keypoints.record import FACE, SIDES, hand_points
 from player.draw.raster import Rasteriser
 from synth.face_places import face_places

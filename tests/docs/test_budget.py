@@ -12,15 +12,15 @@ BUDGET = {
     "command": 1_259,
     "avatar": 9_264,
     "geometry": 1_728,
-    "capture": 11_387,
+    "capture": 11_719,
     "train": 5_434,
     "bake": 5_862,
     "player": 20_287,
     "shaders": 1_005,
-    "synth": 3_836,
+    "synth": 3_837,
     "bench": 5_567,
     "selfscan": 432,
-    "tests": 35_923,
+    "tests": 35_991,
 }
 
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from avatar.motion.read import read_motion
 from capture.fit import body
-from capture.keypoints.openpose import BODY_25
+from capture.keypoints.orders import BODY_25
 from command.errors import AssetError
 from experiments import fitting
 from experiments.body_alone import pictures_of_body

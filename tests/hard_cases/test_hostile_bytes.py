@@ -39,6 +39,7 @@ from avatar.motion.clip import Clip
 from avatar.motion.face_csv import HEAD
 from avatar.motion.read import read_motion
 from capture.folder import read_subject, write_subject
+from capture.keypoints.orders import described
 from capture.keypoints.read import read_keypoints
 from capture.read.colmap import _images, _lenses
 from capture.read.landmarks import read_pixels
@@ -178,6 +179,11 @@ def spoken(path: Path) -> None:
     assert weights.min() >= 0 and weights.max() <= 1
 
 
+def found(path: Path) -> None:
+    keypoints = read_keypoints(path, frames=9)
+    assert np.isfinite(keypoints.pixels[keypoints.confidence > 0]).all() and len(described(keypoints)) < 200
+
+
 def sam3d_bytes(folder: Path) -> bytes:
     return written(lambda path: np.savez(path, **sam3d_fields(np.zeros((1, 52, 3)), np.zeros((1, 3)))))(folder)
 
@@ -198,15 +204,13 @@ def colmap(name: str) -> Callable[[Path], bytes]:
 LENS = Camera(pinhole((64, 48), 0.6), np.eye(4), (64, 48))
 CAMERA = {"size": [64, 48], "K": [[50, 0, 32], [0, 50, 24], [0, 0, 1]], "camera_from_world": np.eye(4).tolist()}
 KEYS = [{"t": 0, "eye": [0, 1, 3], "target": [0, 1, 0]}, {"t": 2.5, "eye": [1, 1, 3], "target": [0, 1, 0]}]
-SEEN = [1.5, 2.0, 0.5]
-OPENPOSE = {"people": [{"pose_keypoints_2d": SEEN * 25, "hand_left_keypoints_2d": SEEN * 21}]}
-MMPOSE = {"instance_info": [{"instances": [{"keypoints": [[1, 2.5]] * 133, "keypoint_scores": [0.5] * 133}]}]}
-COCO = [{"image_id": n, "keypoints": SEEN * 133} for n in (3, 4)]
-POINTS = {"pose_landmarks": [{"x": 0.25, "y": 0.5, "z": 0, "visibility": 0.5}] * 33}
-IN_PICTURE = {"image_width": 64, "image_height": 48, "frames": [None, POINTS]}
+SHOWN = {"pose_landmarks": [{"x": 0.25, "y": 0.5, "z": 0, "visibility": 0.5}] * 33}
+IN_PICTURE = {"image_width": 64, "image_height": 48, "frames": [None, SHOWN]}
 FACE = {"points": {n: [k, k * k, 1.5] for k, n in enumerate("abcdef")}, "vertices": dict.fromkeys("abcdef", 3)}
 LANDMARKS = {"pixels": {"nose_tip": {"a.png": [1, 2], "b.png": [3.5, 4]}}, "vertices": {"mole": 7}}
 PERSON = [{"id": 0, "Rh": [[0.1, 0, 0]], "Th": [[0, 1, 0]], "poses": [[0.1] * 72], "shapes": [[0.0] * 10]}]
+POINTS = (np.random.default_rng(3).uniform(0, 1, (25, 3)) * (900, 400, 1)).round(3).ravel().tolist()
+NESTED = {"keypoints": [[9.5, 3], [4, 5]] * 13, "keypoint_scores": [0.5, 1] * 13}
 SCENE = b'size = [64, 48]\nrate = 25.0\n[[avatar]]\nfile = "a.toml"\n[[camera]]\nkind = "orbit"\n'
 YAML = b'%YAML:1.0\nnames:\n   - "1"\nK_1: !!opencv-matrix\n   rows: 1\n   cols: 2\n   dt: d\n   data: [1., 2.]\n'
 JSON = {"text": True, "split": lambda data: (json.loads(data),), "join": lambda value: json.dumps(value).encode()}
@@ -235,6 +239,9 @@ FORMATS = {
     "MediaPipe's scores": Format("a.json", faces_bytes, finite_motion, **JSON),
     "table of faces": Format("a.csv", table_bytes, finite_motion, text=True, parts=True),
     "sound": Format("a.wav", voice_bytes, spoken, 2, parts=True),
+    "OpenPose's keypoints": Format("a.json", plain({"people": [{"pose_keypoints_2d": POINTS}] * 2}), found, **JSON),
+    "results of keypoints": Format("a.json", plain([{"image_id": "1.jpg", "keypoints": POINTS}] * 2), found, **JSON),
+    "MMPose's keypoints": Format("a.json", plain({"instance_info": [{"instances": [NESTED]}]}), found, **JSON),
     "SAM 3D Body": Format("a.npz", sam3d_bytes, finite_motion, 80),
     "camera": Format("camera.json", plain(CAMERA), read_camera, **JSON),
     "camera path": Format("path.json", plain({"keys": KEYS}), CameraPath.read, **JSON),
@@ -244,9 +251,6 @@ FORMATS = {
     "pickled body model": Format("model.pkl", pickled_model, read_body, 2),
     "subject": Format("subject.npz", subject_bytes, read_subject, 30),
     "rigged subject": Format("a.glb", lambda _: join_glb(*rigged_glb()), read_rigged_subject, 2, **GLTF),
-    "OpenPose": Format("0.json", plain(OPENPOSE), read_keypoints, **JSON),
-    "MMPose": Format("0.json", plain(MMPOSE), read_keypoints, **JSON),
-    "COCO-WholeBody": Format("0.json", plain(COCO), read_keypoints, **JSON),
     "landmarks in the picture": Format("0.json", plain(IN_PICTURE), read_keypoints, **JSON),
     "landmarks of a head": Format("landmarks.json", plain(FACE), lambda p: read_head_landmarks(p, 9), **JSON),
     "COLMAP cameras": Format("cameras.bin", colmap("cameras.bin"), _lenses),

@@ -1,4 +1,4 @@
-"""Keypoints of three detectors: written as they write them, read back as one record; what is wrong is named."""
+"""Keypoints of detectors: written as they write them, read back as one record; what is wrong is named."""
 
 import importlib.util
 import json
@@ -7,17 +7,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from filmed_figure import BODY, points_of
 from pose_twins import estimated, from_text
 
-from capture.keypoints import coco_wholebody, mediapipe, openpose
+from capture.keypoints import mediapipe, openpose
 from capture.keypoints.detect import frame_json, model_files
+from capture.keypoints.orders import COCO_WHOLEBODY, ORDERS, described
 from capture.keypoints.read import read_keypoints
 from capture.keypoints.record import FACE, hand_points
 from command.errors import AssetError
 
 FRAMES, SIZE = 3, (640, 480)
 POSE = [{"x": 0.5, "y": 0.5, "z": 0, "visibility": 1}] * 33
-EVERY = sorted({*openpose.NAMES, *coco_wholebody.NAMES, *mediapipe.NAMES})
+EVERY = sorted({*openpose.NAMES, *COCO_WHOLEBODY, *mediapipe.NAMES})
 
 
 def truth(seed=0):
@@ -59,7 +61,7 @@ def write_mmpose(path, points, unseen):
 
 def wholebody(points, unseen):
     """Each frame's number, and its rows of COCO-WholeBody."""
-    return [(frame, rows(coco_wholebody.NAMES, points, unseen, frame)) for frame in range(FRAMES)]
+    return [(frame, rows(COCO_WHOLEBODY, points, unseen, frame)) for frame in range(FRAMES)]
 
 
 def write_results(path, points, unseen):
@@ -93,8 +95,8 @@ def write_mediapipe(path, points, unseen, told=True):
 
 WRITERS = {
     "openpose": (write_openpose, openpose.NAMES),
-    "mmpose": (write_mmpose, coco_wholebody.NAMES),
-    "results": (write_results, coco_wholebody.NAMES),
+    "mmpose": (write_mmpose, COCO_WHOLEBODY),
+    "results": (write_results, COCO_WHOLEBODY),
     "mediapipe": (write_mediapipe, mediapipe.NAMES),
 }
 
@@ -121,10 +123,54 @@ def test_left_is_the_persons_left_and_the_orders_are_the_published_ones():
     """A few numbers of the published tables: OpenPose's BODY_25, COCO-WholeBody, MediaPipe."""
     assert [openpose.NAMES[k] for k in (2, 7, 8, 12, 19, 24)] == [
         "right_shoulder", "left_wrist", "hips", "left_hip", "left_big_toe", "right_heel"]  # fmt: skip
-    names = coco_wholebody.NAMES
+    names = COCO_WHOLEBODY
     assert len(names) == 133 and names[23:91] == FACE and [names[k] for k in (5, 17, 22, 91, 112, 132)] == [
         "left_shoulder", "left_big_toe", "right_heel", "left_hand", "right_hand", "right_pinky_tip"]  # fmt: skip
     assert mediapipe.POSE[11] == "left_shoulder" and mediapipe.POSE[28] == "right_ankle" and len(mediapipe.POSE) == 33
+
+
+def turning(order, frames=12):
+    """A person who turns, in the order of a detector: x, y, confidence; places that the figure lacks are not found."""
+    out = np.zeros((frames, len(ORDERS[order]), 3))
+    for frame in range(frames):
+        places = points_of("body", frame / frames) | {"upper_neck": (0, -36), "head_top": (0, -60)}
+        middle = lambda name: tuple(np.mean([places[f"{side}_{name}"] for side in ("left", "right")], 0))
+        places |= {"hips": middle("hip"), "shoulders": middle("shoulder")}
+        for k, name in enumerate(ORDERS[order]):
+            if name in places:
+                out[frame, k] = [*(np.array(places[name]) + 100), 0.9]
+    return out
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_every_order_of_points_is_told_from_those_of_its_length(tmp_path, order):
+    """As AlphaPose's results, which leave frames of nobody out, and as OpenPose's, whose zeros may be -1e-9."""
+    film, path = turning(order), tmp_path / "body.json"
+    people = [{"image_id": f"{3 + k}.jpg", "keypoints": rows.ravel().tolist()} for k, rows in enumerate(film)]
+    path.write_text(json.dumps(people[::-1]))
+    found = read_keypoints(path, frames=20)
+    assert found.order == order and order in described(found)
+    assert len(found.pixels) == 20 and found.confidence.any(1).tolist() == [2 < k < 15 for k in range(20)]
+    names = [name for name in ORDERS[order] if name in BODY]
+    for name in names:
+        np.testing.assert_allclose(found.seen(name)[3:15, :2], film[:, ORDERS[order].index(name), :2] + 0.5)
+    film[:, 0] = -1e-9
+    (tmp_path / "body").mkdir()
+    for k, rows in enumerate(film):
+        content = {"people": [{"pose_keypoints_2d": rows.ravel().tolist()}]}
+        (tmp_path / "body" / f"{k}.json").write_text(json.dumps(content))
+    found = read_keypoints(tmp_path / "body")
+    assert found.order == order and not found.seen(ORDERS[order][0])[:, 2].any()
+
+
+def test_where_bones_say_nothing_the_order_of_the_other_films_holds(tmp_path):
+    rows = np.zeros((25, 3))
+    rows[ORDERS["BODY_25B"].index("left_wrist")] = 50, 60, 0.9
+    path = tmp_path / "left.json"
+    path.write_text(json.dumps([{"keypoints": rows.ravel().tolist()}] * 2))
+    assert read_keypoints(path, like="BODY_25B").seen("left_wrist")[0, 2] == 0.9
+    assert "not of BODY_25" in described(read_keypoints(path, like="BODY_25B"))
+    assert read_keypoints(path, like="COCO").order == "BODY_25"
 
 
 def test_of_several_people_the_largest_is_taken_and_an_empty_frame_is_unseen(tmp_path):
@@ -163,14 +209,18 @@ def spoilt(change):
 @pytest.mark.parametrize(
     "spoil, match",
     [
-        (spoilt(lambda c: c[0]["pose_keypoints_2d"].pop()), "pose_keypoints_2d should be 25 times x"),
+        (
+            spoilt(lambda c: c[0]["pose_keypoints_2d"].pop()),
+            "pose_keypoints_2d should be 17, .*, 135 or 136 times x",
+        ),
         (spoilt(lambda c: c[0]["pose_keypoints_2d"].__setitem__(4, "x")), "should be finite numbers"),
         (spoilt(lambda c: c[0]["pose_keypoints_2d"].__setitem__(5, -1.0)), "confidence should not be negative"),
         (spoilt(lambda c: c.append(5)), r"people\[1\] should be an object"),
         (lambda c: {"people": []}, "no person in any of 1 frames"),
         (lambda c: {"who": 1}, "expected keypoints"),
-        (lambda c: [{"keypoints": [[1, 2]] * 17, "keypoint_scores": [1] * 17}], "133 points of COCO-WholeBody, are 17"),
-        (lambda c: [{"keypoints": [[1, 2]] * 133}], "keypoint_scores should be 133 numbers"),
+        (lambda c: [{"keypoints": [[1, 2]] * 17, "keypoint_scores": [1] * 18}], "keypoint_scores should be 17 numbers"),
+        (lambda c: [{"keypoints": [[1, 2, 1]] * 16}], "17, 18, 25, 26, 133, 135 or 136 points, are 16 entries"),
+        (lambda c: [{"keypoints": [1.0] * 51}, {"keypoints": [1.0] * 54}], "found people of 17 and 18"),
         (lambda c: [{"keypoints": [[1]] * 133}], r"keypoints\[0\] should be \[x, y\]"),
         (lambda c: {"instance_info": [7]}, r"instance_info\[0\] should be an object"),
         (lambda c: {"instance_info": []}, "no person in any of 0 frames"),

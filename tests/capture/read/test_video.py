@@ -142,6 +142,10 @@ def test_masks_of_another_tool_are_taken_as_they_are(filmed_four, tmp_path):
     numbers = json.loads((tmp_path / "capture" / "capture.json").read_text())["frame_numbers"]["body"]
     firsts = [int(np.flatnonzero(mask.any(0))[0]) for mask in capture.videos["body"].masks]
     assert firsts == [60 + number // 3 for number in numbers]
+    Image.new("RGB", (240, 180), (0, 128, 0)).save(masks / "body" / f"{numbers[0]:06d}.png")
+    with pytest.raises(AssetError, match=r"body/0000\d\d\.png: mask should be 255 where .*is a picture of labels"):
+        import_video(given(filmed_four, masks=masks), tmp_path / "labels", stand_in)
+    Image.fromarray(pixels).save(masks / "body" / f"{numbers[0]:06d}.png")
     (masks / "head" / "000000.png").unlink()
     with pytest.raises(AssetError, match=r"expected a mask for each of 90 frames of head\.mp4, found 89"):
         import_video(given(filmed_four, masks=masks), tmp_path / "again", stand_in)
