@@ -51,6 +51,6 @@ def grab_cut(
         cut, models = np.ascontiguousarray(labels[window]), (np.zeros((1, 65)), np.zeros((1, 65)))
         cv2.setRNGSeed(0)
         colors = np.clip(small, 0, 255).astype(np.uint8)
-        cv2.grabCut(colors, cut, None, *models, ROUNDS, cv2.GC_INIT_WITH_MASK)
+        cv2.grabCut(colors, cut, (0, 0, 1, 1), *models, ROUNDS, cv2.GC_INIT_WITH_MASK)
         share[window] = (cut == cv2.GC_FGD) | (cut == cv2.GC_PR_FGD)
     return np.asarray(cv2.resize(share, (width, height), interpolation=cv2.INTER_LINEAR))
