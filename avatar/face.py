@@ -61,8 +61,8 @@ class FaceShapes:
 class FaceFrame:
     """What a face does in one frame."""
 
-    weights: Float[Array, "52"]  # of SHAPES, from 0 to 1
-    # of the left and of the right eye: yaw to the person's left and pitch upwards, radians, away from its axis
+    weights: Float[Array, "52"]  # one for each of SHAPES, from 0 to 1
+    # the left and the right eye's: yaw to the person's left and pitch upwards, radians, away from its axis
     gaze: Float[Array, "2 2"]
 
     @property

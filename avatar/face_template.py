@@ -35,7 +35,7 @@ class FaceTemplate:
     offsets: Float32[Array, "52 all 3"]
     # the inside of the mouth, which meets the skin at the seam, by vertices of the body
     inside: Int[Array, "inside_faces 3"]
-    # of its vertices, ascending, in the mouth's picture, v down
+    # where its vertices are, ascending, in the mouth's picture, v down
     inside_uv: Float32[Array, "inside 2"]
     # upper teeth, lower teeth and tongue, as the built-in man has them, pose 0, metres
     parts: Float[Array, "parts 3"]

@@ -18,7 +18,7 @@ from avatar.skeleton import JOINT_NUMBERS
 # as far as eyes turn without effort
 YAW, UP, DOWN = np.radians(35.0), np.radians(25.0), np.radians(30.0)
 NECK_AND_HEAD = [JOINT_NUMBERS["neck"], JOINT_NUMBERS["head"]]
-# of the head's turn, how much is the neck's
+# the neck's share of the head's turn
 NECK = 0.4
 # by eye, left first: the shapes of looking to the person's left and right, up and down
 _LOOKS = np.array([[NUMBER[f"eyeLook{way}"] for way in ways.split()] for ways in (

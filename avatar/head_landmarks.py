@@ -22,7 +22,7 @@ class HeadLandmarks(NamedTuple):
     """Landmarks in alphabetical order of their names."""
 
     points: Float[Array, "points 3"]  # head frame, its own unit
-    vertices: Int[Array, "points"]  # of the template
+    vertices: Int[Array, "points"]  # the template's
 
 
 def read_head_landmarks(path: Path, vertex_count: int) -> HeadLandmarks:

@@ -33,7 +33,7 @@ MARK = ".selfscan"
 _UNFINISHED = re.compile(r"\.selfscan-[0-9a-z_]{8}\.tmp")
 # what a write raises when the disk cannot take it
 _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
-# of renameat2: names count from the current folder; the two change places
+# flags of renameat2: names count from the current folder; the two change places
 _HERE, _EXCHANGE = -100, 2
 # bytes; a disk with less free is full
 _FULL = 1 << 16

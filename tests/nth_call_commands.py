@@ -49,10 +49,10 @@ def keep_folder(folder: Path, arguments: list[str]) -> int:
 
 def keep_pose(folder: Path, arguments: list[str]) -> int:
     """A pose of one's own, in place of another."""
-    from player.pose.history import Pose
+    from player.pose.history import KeptPose
     from player.pose.library import Library
 
-    pose = Pose(np.full((52, 3), 0.1 * len(arguments[0])) + (arguments[0] == "new"), np.zeros(3))
+    pose = KeptPose(np.full((52, 3), 0.1 * len(arguments[0])) + (arguments[0] == "new"), np.zeros(3))
     return said(lambda: Library(folder / "poses").write("mine", pose))
 
 

@@ -25,7 +25,7 @@ class Cut(NamedTuple):
     """A mesh divided along a line: new vertices come after the old ones."""
 
     edges: Integer[Array, "new 2"]  # the old vertices that each lies between
-    share: Float[Array, "new"]  # of the way from the first to the second
+    share: Float[Array, "new"]  # share of the way from the first to the second
     faces: Integer[Array, "faces 3"]
     side: Integer[Array, "faces"]  # -1 or 1, as the function that was cut along
 

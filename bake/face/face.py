@@ -20,7 +20,7 @@ from bake.face.eyes import WITHIN, OpenEye, cap, cut_ball, eye_axis, iris_pictur
 from bake.face.features import aligned
 from bake.face.lips import LipLine, cut_lips, lip_line
 from bake.face.mouth import Mouth, mouth_behind, mouth_picture
-from bake.face.strip import LEFT_EYE, MOUTH, RIGHT_EYE, Place, size_in, uv_in, with_strip
+from bake.face.strip import LEFT_EYE, MOUTH, RIGHT_EYE, StripPart, size_in, uv_in, with_strip
 from bake.face.template import FaceRefused, PersonFace
 from geometry.mesh import vertex_normals
 
@@ -91,7 +91,7 @@ def with_face(levels: Sequence[Level], person: PersonFace) -> Faced:
     """
     person = aligned(person, levels[0])
     line, out = lip_line(person), list(levels)
-    pictures: dict[Place, Float[Array, "height width 3"]] = {}
+    pictures: dict[StripPart, Float[Array, "height width 3"]] = {}
     eyes: list[Eye] = []
     for number, level in enumerate(levels[:LEVELS]):
         texels = len(level.base_color)
@@ -143,7 +143,7 @@ def parted(level: Level, person: PersonFace, line: LipLine) -> Parted:
 
 
 def joined_face(
-    parts: Parted, mouth: Mouth, eyes: Sequence[Eye], pictures: dict[Place, Float[Array, "height width 3"]]
+    parts: Parted, mouth: Mouth, eyes: Sequence[Eye], pictures: dict[StripPart, Float[Array, "height width 3"]]
 ) -> Level:
     """A level with its lids' rims, mouth and balls, and with the record of what moves."""
     growing, texels = parts.growing, len(parts.growing.level.base_color)

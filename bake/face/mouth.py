@@ -37,7 +37,7 @@ class Mouth(NamedTuple):
 
     points: Float[Array, "n 3"]
     offsets: Float32[Array, "52 n 3"]
-    uv: Float[Array, "n 2"]  # of its own picture
+    uv: Float[Array, "n 2"]  # its own picture's
     faces: Integer[Array, "faces 3"]
 
 

@@ -18,31 +18,31 @@ from avatar.texture import bytes_of
 SHARE = 16
 
 
-class Place(NamedTuple):
+class StripPart(NamedTuple):
     """A picture's place in the strip, in shares of its width and height."""
 
     left: float
     right: float
 
 
-MOUTH, LEFT_EYE, RIGHT_EYE = Place(0.0, 0.6), Place(0.6, 0.8), Place(0.8, 1.0)
+MOUTH, LEFT_EYE, RIGHT_EYE = StripPart(0.0, 0.6), StripPart(0.6, 0.8), StripPart(0.8, 1.0)
 # texels round a picture that repeat its edge: coarse mips read there
 GUTTER = 4
 
 
-def size_in(place: Place, texels: int) -> tuple[int, int]:
+def size_in(place: StripPart, texels: int) -> tuple[int, int]:
     """Width and height of a picture in the strip of an atlas of so many texels a side."""
     return int((place.right - place.left) * texels) - 2 * GUTTER, texels // SHARE - 2 * GUTTER
 
 
-def uv_in(place: Place, uv: Float[Array, "n 2"], texels: int) -> Float[Array, "n 2"]:
+def uv_in(place: StripPart, uv: Float[Array, "n 2"], texels: int) -> Float[Array, "n 2"]:
     """Places in a picture as texture coordinates of the level, whose own atlas has `texels` a side."""
     width, height = size_in(place, texels)
     corner = np.array([int(place.left * texels) + GUTTER, texels + GUTTER])
     return (corner + uv * [width, height]) / [texels, texels + texels // SHARE]
 
 
-def with_strip(level: Level, pictures: dict[Place, Float[Array, "height width 3"]]) -> Level:
+def with_strip(level: Level, pictures: dict[StripPart, Float[Array, "height width 3"]]) -> Level:
     """The level with a strip that holds pictures, [0, 1] sRGB; it changes with the view nowhere."""
     texels = len(level.base_color)
     strip = np.zeros((texels // SHARE, texels, 3))

@@ -38,7 +38,7 @@ class PersonFace(NamedTuple):
     vertices: Float[Array, "body 3"]  # the template's, the mouth mended
     # those of its skin that a shape may move, without the inside of the mouth and the eye sockets
     skin: Integer[Array, "skin 3"]
-    # of the vertices of face.inside, ascending, and of face.parts
+    # where the vertices are of face.inside, ascending, and of face.parts
     inside: Float[Array, "inside 3"]
     parts: Float[Array, "parts 3"]
     eyes: EyeSpheres

@@ -24,7 +24,7 @@ Report = Callable[[str], None]
 
 # joints that a body's video shows; its hands keep the rest pose
 MOVING = np.arange(1, 22)
-# of the face's points: chin, brows, bridge, mouth; nose, eyes and ears alone leave a nod to how faces differ
+# points of the face: chin, brows, bridge, mouth; nose, eyes and ears alone leave a nod to how faces differ
 FEATURES = tuple(f"face_{number:02d}" for number in (8, 17, 26, 27, 48, 54, 57))
 LIMBS = "hip knee ankle shoulder elbow wrist eye ear heel big_toe small_toe".split()
 # degrees by which arms that are held out hang

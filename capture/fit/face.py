@@ -27,7 +27,7 @@ FEATURES = ("face_08", *FACE[17:], "left_ear", "right_ear")
 OWN = 0.75
 # metres: skin farther from all features stays, a point of it each; and no feature moves by more
 STILL, APART, FARTHEST = 0.045, 0.03, 0.015
-# of the interpolation: what a feature may be off, relative to the distance of neighbours
+# what a feature may be off, relative to the distance of neighbours
 SMOOTHING = 0.003
 
 

@@ -27,12 +27,12 @@ from avatar.skeleton import JOINT_NUMBERS as J
 BLOCK = 600.0
 CLOSING, CLOSED, OPENING = 0.09, 0.03, 0.21  # seconds
 BLINKS = (11.5, 15.5)  # a minute, in the long run
-# of the logarithm of an interval between blinks, and the shortest, seconds
+# deviation of the logarithm of an interval between blinks, and the shortest, seconds
 SPREAD, SHORTEST = 0.6, 0.5
 # frequencies of directions, from the person's left upwards by 45 degrees (Lee et al., table 1)
 DIRECTIONS = np.array([15.54, 6.46, 17.69, 7.44, 16.80, 7.89, 20.38, 7.79])
 FARTHEST = np.radians([22.0, 13.0])  # that eyes look away by, yaw and pitch
-# of fixations, how many are away from what is looked at
+# share of fixations that are away from what is looked at
 AWAY = 0.22
 # where one looks at a face a step away: its eyes and its mouth, yaw and pitch in degrees; three of four times the eyes
 PLACES, OFTEN = np.radians([[1.1, 0.0], [-1.1, 0.0], [0.0, -2.2]]), (0.375, 0.375, 0.25)

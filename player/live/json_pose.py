@@ -22,7 +22,7 @@ from avatar.gaze import gaze_of
 from player.live.frame import Counters, Decoded, LivePose
 
 LARGEST = 16384  # bytes; a message has about 3000, with a face 4500
-MOST_NAMES = 256  # of a face
+MOST_NAMES = 256  # a face's
 # a sequence number older by more is a restarted sender
 REORDERED = 64
 # seconds that the followed sender may be silent before another is followed

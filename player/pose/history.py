@@ -1,4 +1,4 @@
-"""One pose, and undo and redo of posing: one immutable `Pose` replaced by another, and the way back.
+"""One pose, and undo and redo of posing: one immutable `KeptPose` replaced by another, and the way back.
 
 Changes that carry the same drag mark become one step, however many pixels the pointer took.
 """
@@ -16,7 +16,7 @@ STEPS = 500
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class KeptPose:
     """One pose; its arrays are never written to."""
 
     axis_angle: Float[Array, "52 3"]
@@ -37,7 +37,7 @@ class Pose:
             value.setflags(write=False)
             object.__setattr__(self, name, value)
 
-    def same(self, other: "Pose") -> bool:
+    def same(self, other: "KeptPose") -> bool:
         """Equal to the last bit."""
         return all(np.array_equal(one, vars(other)[name]) for name, one in vars(self).items())
 
@@ -45,10 +45,10 @@ class Pose:
 class History:
     """The present pose, what was done before it with the pose before each step, and what was undone."""
 
-    def __init__(self, pose: Pose):
+    def __init__(self, pose: KeptPose):
         self.pose = self.saved = pose
-        self.past: list[tuple[str, Pose]] = []
-        self.future: list[tuple[str, Pose]] = []
+        self.past: list[tuple[str, KeptPose]] = []
+        self.future: list[tuple[str, KeptPose]] = []
         # mark of the drag that the last step belongs to
         self._drag: object | None = None
 
@@ -57,7 +57,7 @@ class History:
         """Whether the pose was changed since saving or loading; undoing back to what was saved counts as unchanged."""
         return self.pose is not self.saved
 
-    def change(self, label: str, pose: Pose, drag: object | None = None) -> None:
+    def change(self, label: str, pose: KeptPose, drag: object | None = None) -> None:
         """Put `pose` in place of what is; steps with an equal `drag` mark (not None) are one step of undo."""
         if drag is None or drag != self._drag:
             self.past.append((label, self.pose))
@@ -87,7 +87,7 @@ class History:
     def redo(self) -> str | None:
         return self._walk(self.future, self.past)
 
-    def _walk(self, come_from: list[tuple[str, Pose]], leave_to: list[tuple[str, Pose]]) -> str | None:
+    def _walk(self, come_from: list[tuple[str, KeptPose]], leave_to: list[tuple[str, KeptPose]]) -> str | None:
         self.end_drag()
         if not come_from:
             return None

@@ -19,7 +19,7 @@ from avatar.motion.clip import Clip, fitted
 from avatar.motion.read import read_motion
 from command.errors import AssetError
 from player.pose.fingers import PRESETS, with_hand
-from player.pose.history import Pose
+from player.pose.history import KeptPose
 
 Angles = dict[str, dict[str, float | int]]
 
@@ -128,7 +128,7 @@ class Library:
         root: Float[Array, "3"],
         pelvis_height: float | None = None,
         ground: Callable[[Float[Array, "52 3"], Float[Array, "3"]], Float[Array, "3"]] | None = None,
-    ) -> Pose:
+    ) -> KeptPose:
         """The pose of that name.
 
         A built-in one stands where `root` is, put on the ground by `ground` (player/draw/posing.py). A user's own
@@ -139,12 +139,12 @@ class Library:
         """
         if name in BUILTIN:
             axis_angle = builtin_pose(name)
-            return Pose(axis_angle, root if ground is None else ground(axis_angle, root))
+            return KeptPose(axis_angle, root if ground is None else ground(axis_angle, root))
         if name not in self.names():
             raise AssetError(f"{self.folder}: no pose {name!r}; there are {', '.join(self.names())}")
         return read_pose(self.folder / f"{name}.npz", pelvis_height=pelvis_height)
 
-    def write(self, name: str, pose: Pose, *, pelvis_height: float | None = None) -> Path:
+    def write(self, name: str, pose: KeptPose, *, pelvis_height: float | None = None) -> Path:
         """Keep a pose under a name, in place of the user's pose that had it.
 
         Raises:
@@ -173,14 +173,14 @@ class Library:
         path.unlink()
 
 
-def write_pose(path: Path | str, pose: Pose, *, pelvis_height: float | None, up: str = "z") -> None:
+def write_pose(path: Path | str, pose: KeptPose, *, pelvis_height: float | None, up: str = "z") -> None:
     """One pose as a motion of one frame, whole or not at all. up="z" is what AMASS and its tools expect, and is as
     exact as a quarter turn in double precision; up="y" keeps our world and comes back to the last bit."""
     face = (None, None) if pose.face is None else (pose.weights[None], pose.gaze[None])
     write_amass(path, Clip(pose.axis_angle[None], pose.root[None], 30.0, (), pelvis_height, *face), up=up)
 
 
-def read_pose(path: Path | str, *, pelvis_height: float | None = None) -> Pose:
+def read_pose(path: Path | str, *, pelvis_height: float | None = None) -> KeptPose:
     """The first frame of any pose file, the root scaled to a body whose pelvis stands at `pelvis_height`.
 
     Raises:
@@ -193,7 +193,7 @@ def read_pose(path: Path | str, *, pelvis_height: float | None = None) -> Pose:
         motion = fitted(motion, pelvis_height)
     clip = motion.read(0, 1)
     face = clip.face_at(0) or REST
-    return Pose(clip.axis_angle[0], clip.root[0], face.weights, face.gaze)
+    return KeptPose(clip.axis_angle[0], clip.root[0], face.weights, face.gaze)
 
 
 def check_name(name: str) -> None:

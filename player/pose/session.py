@@ -18,7 +18,7 @@ from avatar.limits import clamped, with_angle
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from player.pose.fingers import HandShape, Side, with_finger, with_hand
-from player.pose.history import History, Pose
+from player.pose.history import History, KeptPose
 from player.pose.ik import LIMBS, reach_for
 from player.pose.library import read_pose, write_pose
 from player.pose.mirror import mirrored_in_place, onto_other_side
@@ -49,7 +49,7 @@ class PoseSession:
         self.pelvis_height = pelvis_height
         face = face or REST
         self.history = History(
-            Pose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root, face.weights, face.gaze)
+            KeptPose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root, face.weights, face.gaze)
         )
         self.limited = True
         self.pinned: dict[str, Pin] = {}  # limbs whose ends are held in the world
@@ -57,7 +57,7 @@ class PoseSession:
     # what there is
 
     @property
-    def pose(self) -> Pose:
+    def pose(self) -> KeptPose:
         return self.history.pose
 
     def world(self) -> Float[Array, "52 4 4"]:
@@ -138,7 +138,7 @@ class PoseSession:
         self.put(f"{side} fingers", pose, drag=drag)
 
     def turn(
-        self, start: Pose, joint: int, axis: Float[Array, "3"], angle: float | int, *, drag: object | None = None
+        self, start: KeptPose, joint: int, axis: Float[Array, "3"], angle: float | int, *, drag: object | None = None
     ) -> None:
         """The gizmo: one joint turned about a world axis, from the pose in which the ring was seized."""
         pose = turned(start, self.joints, joint, axis, angle)
@@ -146,7 +146,7 @@ class PoseSession:
 
     def reach(
         self,
-        start: Pose,
+        start: KeptPose,
         limb: str,
         target: Float[Array, "3"],
         *,
@@ -163,7 +163,7 @@ class PoseSession:
         if held is not None:
             self.pin(limb, True)
 
-    def move(self, start: Pose, root: Float[Array, "3"], *, drag: object | None = None) -> None:
+    def move(self, start: KeptPose, root: Float[Array, "3"], *, drag: object | None = None) -> None:
         """The whole body to another place; pinned hands and feet stay."""
         self.put("place", start.axis_angle, root, drag=drag)
 
@@ -229,7 +229,7 @@ class PoseSession:
 
 
 def turned(
-    pose: Pose, joints: Float[Array, "52 3"], joint: int, axis: Float[Array, "3"], angle: float | int
+    pose: KeptPose, joints: Float[Array, "52 3"], joint: int, axis: Float[Array, "3"], angle: float | int
 ) -> Float[Array, "52 3"]:
     """The pose with one joint turned about a world axis through it, radians; all below follows, the root stays."""
     world = joint_transforms(pose.axis_angle, joints, pose.root)[:, :3, :3]

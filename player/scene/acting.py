@@ -25,7 +25,7 @@ ALONE = 10.0
 LEAD = 0.2
 
 
-class Look(NamedTuple):
+class Sight(NamedTuple):
     """What eyes can look at."""
 
     eye: Float[Array, "3"]  # the camera's place, world
@@ -53,7 +53,7 @@ class Acting:
         # the turns are small: order does not matter
         return pose._replace(axis_angle=pose.axis_angle + sway(self.seed, seconds))
 
-    def faced(self, pose: Pose, seconds: float | int, look: Look, lived: float | int | None = None) -> Pose:
+    def faced(self, pose: Pose, seconds: float | int, look: Sight, lived: float | int | None = None) -> Pose:
         """The pose with what the face does at a moment; `lived` is the moment of life where that is another."""
         face = pose.face
         if face is None and self.seed is not None:
@@ -63,7 +63,7 @@ class Acting:
             face = FaceFrame(np.clip(face.weights + self.speech.weights(seconds), 0.0, 1.0), face.gaze)
         return pose._replace(face=face)
 
-    def gaze(self, pose: Pose, look: Look) -> Float[Array, "2 2"]:
+    def gaze(self, pose: Pose, look: Sight) -> Float[Array, "2 2"]:
         """The gaze at the camera; where that is farther aside than eyes turn, ahead to where the head will be."""
         if self.avatar.eyes is None:
             return np.zeros((2, 2))
@@ -73,7 +73,7 @@ class Acting:
         canonical = joint_transforms(self.avatar.canonical_pose, self._joints)[HEAD]
         at = gaze_at(look.eye, self.avatar.eyes, head @ np.linalg.inv(canonical))
         yaw, pitch = at.T
-        # of each eye: behind the head, their mean is ahead
+        # each eye's: behind the head, their mean is ahead
         beyond = max(np.abs(yaw).max() / YAW, pitch.max() / UP, -pitch.min() / DOWN)
         share = min(max(2.0 - beyond, 0.0), 1.0)
         return share * within_reach(at) + (1.0 - share) * within_reach(gaze)

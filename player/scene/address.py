@@ -11,7 +11,7 @@ FACE_SENDERS = ("ifacialmocap", "livelinkface", "openseeface")
 
 
 class Address(NamedTuple):
-    kind: str  # of PORTS
+    kind: str  # one of PORTS
     host: str
     port: int  # 0: any free one
 

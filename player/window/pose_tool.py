@@ -17,7 +17,7 @@ from avatar.camera import Camera, pixel_rays, project
 from avatar.limits import joint_angles, limits
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
-from player.pose.history import Pose
+from player.pose.history import KeptPose
 from player.pose.ik import LIMBS
 from player.pose.session import PoseSession
 from player.window.state import WindowState
@@ -49,7 +49,7 @@ HANDLES = (
 class Drag:
     """What the pointer holds, and the pose in which it took hold."""
 
-    start: Pose
+    start: KeptPose
     pressed: tuple[float, float] | None = None
     # a handle, and from the pointer to it, metres
     handle: PullHandle | None = None
@@ -214,7 +214,7 @@ class PoseTool:
         return True
 
 
-def _places(session: PoseSession, pose: Pose) -> Float[Array, "52 3"]:
+def _places(session: PoseSession, pose: KeptPose) -> Float[Array, "52 3"]:
     return joint_transforms(pose.axis_angle, session.joints, pose.root)[:, :3, 3]
 
 

@@ -18,7 +18,7 @@ from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.errors import AssetError
 from player.draw.posing import grounded
 from player.pose.fingers import PRESETS
-from player.pose.history import Pose
+from player.pose.history import KeptPose
 from player.pose.ik import LIMBS
 from player.pose.library import BUILTIN, Library, builtin_pose, check_name, user_folder
 from player.pose.mirror import limb_of
@@ -130,7 +130,7 @@ def test_limbs_divide_the_body():
     assert sorted(k for limb in limbs for k in limb) == list(range(1, 52)) and len(limbs) == 5
     assert J["left_thumb3"] in limb_of(J["left_collar"]) and J["left_foot"] in limb_of(J["left_hip"])
     mine = np.zeros((52, 3))
-    pose = Pose(mine, np.zeros(3))
+    pose = KeptPose(mine, np.zeros(3))
     mine[0] = 1
     assert not pose.axis_angle.any()
     with pytest.raises(ValueError, match="read-only"):
@@ -219,7 +219,7 @@ def test_the_first_pose_of_any_motion_is_taken_and_a_broken_file_changes_nothing
 def test_a_turn_turns_the_joint_and_what_hangs_on_it_about_the_axis(angle):
     rng = np.random.default_rng(int(10 * abs(angle)))
     joints = builtin_body("male").joints.astype(float)
-    pose, joint = Pose(rng.normal(size=(52, 3)) * 0.4, rng.normal(size=3) * 0.2), int(rng.integers(0, 52))
+    pose, joint = KeptPose(rng.normal(size=(52, 3)) * 0.4, rng.normal(size=3) * 0.2), int(rng.integers(0, 52))
     axis = rng.normal(size=3)
     axis /= np.linalg.norm(axis)
     out = turned(pose, joints, joint, axis, angle)
@@ -290,13 +290,13 @@ def test_a_kept_pose_comes_back_to_the_last_bit_and_plays(tmp_path):
     library = Library(tmp_path / "poses")
     assert library.names() == list(BUILTIN)  # an absent folder is an empty one
     rng = np.random.default_rng(0)
-    pose = Pose(rng.normal(size=(52, 3)), rng.normal(size=3))
+    pose = KeptPose(rng.normal(size=(52, 3)), rng.normal(size=3))
     path = library.write("My pose é 1", pose, pelvis_height=0.97)
     assert library.names() == [*BUILTIN, "My pose é 1"]
     back = library.read("My pose é 1", root=ROOT, pelvis_height=0.97)
     assert back.same(pose)
     assert np.array_equal(read_motion(path).read().axis_angle[0], pose.axis_angle)
-    other = Pose(pose.axis_angle, pose.root + 1)
+    other = KeptPose(pose.axis_angle, pose.root + 1)
     library.write("My pose é 1", other, pelvis_height=0.97)
     assert library.read("My pose é 1", root=ROOT).same(other)
     assert [p.name for p in (tmp_path / "poses").iterdir()] == ["My pose é 1.npz"]  # nothing half-written beside
@@ -333,13 +333,13 @@ def test_a_face_is_a_step_of_undo_is_mirrored_kept_and_left_by_poses_without_one
 
 def test_what_cannot_be_kept_is_refused_and_what_was_there_stays(tmp_path):
     library = Library(tmp_path)
-    pose = Pose(np.zeros((52, 3)), np.zeros(3))
+    pose = KeptPose(np.zeros((52, 3)), np.zeros(3))
     for name in ("", "  ", "a/b", "..", "a\\b", "x\n", "T-pose", "t-POSE", ".x", "x.", " x", "a" * 81, 'q"', "a:b"):
         with pytest.raises(ValueError, match="pose"):
             library.write(name, pose)
     assert not list(tmp_path.iterdir())
     library.write("good", pose)
-    bad = Pose(np.full((52, 3), np.nan), np.zeros(3))
+    bad = KeptPose(np.full((52, 3), np.nan), np.zeros(3))
     with pytest.raises(ValueError, match="finite"):
         library.write("good", bad)
     assert library.read("good", root=ROOT).same(pose)
