@@ -69,7 +69,7 @@ WRONG = [
     ("bake r -o a.glb --texture 1000", "texture: expected a power of two from 64 to 8192, found 1000"),
     ("dance", "dance"),
     ("rendr", "did you mean render?"),
-    ("export a.glb --motion counting -o out.fbx", "expected a name that ends in .bvh, .glb, .npz, found"),
+    ("export a.glb --motion counting -o out.fbx", "expected a name that ends in .bvh, .glb, .npz, .vrm, found"),
     ("export a.glb --motion counting -o out.npz --unit cm", "--unit is for .bvh"),
     ("import", "expected video, totalselfscan or easymocap, found nothing"),
     ("import kinect a b", "expected video, totalselfscan or easymocap, found kinect"),
