@@ -17,9 +17,8 @@ from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar
 from avatar.face import eye_turn
-from avatar.gltf.avatar_file import read_avatar
+from avatar.gltf.avatar_file import avatar_gltf, read_avatar
 from avatar.gltf.avatar_write import helper_joints
-from avatar.gltf.document import read_gltf
 from avatar.gltf.scene import read_skin
 from avatar.gltf.write import GltfBuilder
 from avatar.motion.clip import Clip
@@ -42,7 +41,7 @@ def write_animated(path: Path | str, avatar_path: Path | str, clip: Clip, *, nam
         AssetError: `avatar_path` is not an avatar file, or it has an animation.
         ValueError: no frames, numbers that are not finite, or so many frames that float32 seconds repeat.
     """
-    avatar, gltf = read_avatar(avatar_path, levels=1), read_gltf(avatar_path)
+    avatar, gltf = read_avatar(avatar_path, levels=1), avatar_gltf(avatar_path)
     if len(gltf.buffers) != 1:
         raise gltf.error("buffers", "one, the file's own", len(gltf.buffers))
     if gltf.items("animations"):

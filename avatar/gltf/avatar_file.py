@@ -109,16 +109,21 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
     return avatar
 
 
-def _extension(path: str | Path) -> tuple[Gltf, JsonObject]:
-    """The file, and the extension that makes it an avatar's."""
+def avatar_gltf(path: str | Path) -> Gltf:
+    """The glTF of an avatar file, or of builtin."""
     if str(path) == BUILTIN and not Path(path).exists():
         path = str(files("avatar") / "data" / "avatar" / "man.glb")
+    return read_gltf(path)
+
+
+def _extension(path: str | Path) -> tuple[Gltf, JsonObject]:
+    """The file, and the extension that makes it an avatar's."""
     if str(path) == FILMED and not Path(path).exists():
         raise AssetError(
             f"{path}: a person to film, no avatar yet: selfscan synth {path} CAPTURE, train CAPTURE -o RUN and bake "
             "RUN -o NAME.glb; builtin is the man, mannequin:female the bare body"
         )
-    gltf = read_gltf(path)
+    gltf = avatar_gltf(path)
     extension = gltf.extensions(gltf.json, "glTF").get(EXTENSION)
     where = f"extensions.{EXTENSION}"
     if extension is None and any(name in gltf.extensions(gltf.json, "glTF") for name in VRM):

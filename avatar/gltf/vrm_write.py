@@ -19,8 +19,8 @@ from avatar.baked_avatar import Avatar
 from avatar.face import SHAPES
 from avatar.face_names import NUMBER, PRESETS, shapes_of
 from avatar.gaze import DOWN, UP, YAW
-from avatar.gltf.avatar_file import read_avatar
-from avatar.gltf.document import Gltf, read_gltf
+from avatar.gltf.avatar_file import avatar_gltf, read_avatar
+from avatar.gltf.document import Gltf
 from avatar.gltf.face import EYE_JOINTS, eye_offsets
 from avatar.gltf.humanoid import vrm_names
 from avatar.gltf.scene import primitives, read_skin
@@ -55,7 +55,7 @@ def write_vrm(path: Path | str, avatar_path: Path | str, likeness: Likeness, pel
     Raises:
         AssetError: `avatar_path` is not an avatar file.
     """
-    avatar, gltf, builder = read_avatar(avatar_path, levels=1), read_gltf(avatar_path), GltfBuilder()
+    avatar, gltf, builder = read_avatar(avatar_path, levels=1), avatar_gltf(avatar_path), GltfBuilder()
     source = primitives(gltf, 0)[0]
     attributes = {name: number for name, number in source["attributes"].items() if not name.startswith("_")}
     primitive: JsonObject = {

@@ -119,6 +119,13 @@ def test_the_animated_avatar_is_read_back_as_motion_and_as_the_same_avatar(avata
     assert after[: len(before) - 3] == before[: len(before) - 3]  # less its padding
 
 
+def test_the_person_who_travels_with_the_program_goes_out_too(tmp_path):
+    for words in (["--motion", "counting", "--frames", "0:2", "-o", "me.glb"], ["-o", "me.vrm"]):
+        export_main(["builtin", *words[:-1], str(tmp_path / words[-1])])
+    assert read_motion(tmp_path / "me.glb").frames == 2
+    assert "VRMC_vrm" in read_gltf(tmp_path / "me.vrm").json["extensions"]
+
+
 def test_a_second_motion_and_too_many_frames_for_float32_are_refused(avatar_path, tmp_path):
     write_animated(tmp_path / "first.glb", avatar_path, wild_clip(seed=1))
     with pytest.raises(AssetError, match=r"first\.glb: holds a motion"):
