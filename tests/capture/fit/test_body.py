@@ -178,7 +178,7 @@ def test_the_guess_counts_once_sure_videos_more_and_those_that_contradict_each_o
 
 @pytest.mark.slow
 def test_doubt_is_what_other_noise_would_change():
-    """The marginal's deviation beside the spread over draws of the noise."""
+    """The marginal's deviation beside the spread over draws of the noise; what the person may be is doubted too."""
     truth, footage = turning_twin(8, 256, focal_error=0.05)
     found, doubts = [], []
     for seed in range(4):
@@ -186,7 +186,8 @@ def test_doubt_is_what_other_noise_would_change():
         estimate, seen = fit_keypoints(truth.person, replace(footage, pixels=footage.pixels + noise), lambda note: None)
         found.append(estimate.log_focal)
         doubts.append(marginal(estimate, seen, standing(estimate, seen)))
-    assert 0.2 < np.std(found, ddof=1) / np.mean(doubts) < 2
+    assert 0.05 < np.std(found, ddof=1) / np.mean(doubts) < 2
+    assert abs(np.mean(found) + np.log(1.05)) < np.mean(doubts)
 
 
 def test_outlines_move_no_point_of_the_face_and_no_hand_or_neck_by_the_bodys_video():
