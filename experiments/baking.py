@@ -19,13 +19,14 @@ import re
 import resource
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from bake.options import BakeOptions
 from bench.ladder.machine import commit, cpu_name
 from command.errors import AssetError
+from command.settings import settings_json
 from experiments.program import end_with, note
 from experiments.short_training import read_kept
 from experiments.table_row import digest
@@ -103,7 +104,7 @@ def rows_of(default: BakeOptions) -> tuple[Row, ...]:
 def baked(row: Row, options: Options) -> dict[str, Any] | None:
     """The row's bake, made unless that has been done; None where it failed."""
     folder = options.out / row.key
-    path, stamp = folder / "bake.json", {"run": digest(options.run / "run.json"), "options": asdict(row.options)}
+    path, stamp = folder / "bake.json", {"run": digest(options.run / "run.json"), "options": settings_json(row.options)}
     found = read_kept(path, {"format": FORMAT, "stamp": stamp})
     if found is not None and (folder / "avatar.glb").is_file():
         return found
