@@ -16,7 +16,7 @@ from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINT_NUMBERS
 
 # as far as eyes turn without effort
-YAW, UP, DOWN = np.radians(35.0), np.radians(25.0), np.radians(30.0)
+YAW, UP, DOWN = np.radians([35.0, 25.0, 30.0]).tolist()
 NECK_AND_HEAD = [JOINT_NUMBERS["neck"], JOINT_NUMBERS["head"]]
 # the neck's share of the head's turn
 NECK = 0.4

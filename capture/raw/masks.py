@@ -55,18 +55,20 @@ def soft_mask(
     person = _differs(image, plate, gain, floor)
     known = plate.known
     rim = max(3.0, RIM * min(image.shape[:2]) / 1080)
-    may, thin = (find(keypoints, frame, image.shape[:2]) for find in (hull, bones))
-    if known.all() or may.all() or not thin.any() or not can_cut():
-        if not known.all():
-            person = np.where(known, person, _by_color(image, core, may, room, known))
-            person[~may] = 0
+    if known.all():
         inside = _whole(_walked(image, person, core, known) > 0.5, keypoints, frame)
     else:
-        # where the room is known and seen it is no person
-        may &= ~known | (person > 1 - CERTAIN) | thin
-        begun = np.where(known, person > CERTAIN, near_bones(keypoints, frame, image.shape[:2]))
-        inside = _whole(grab_cut(image, thin, begun, may) > 0.5, keypoints, frame)
-        room, known = _filled(image, room, known, inside, rim)
+        may, thin = (find(keypoints, frame, image.shape[:2]) for find in (hull, bones))
+        if may.all() or not thin.any() or not can_cut():
+            person = np.where(known, person, _by_color(image, core, may, room, known))
+            person[~may] = 0
+            inside = _whole(_walked(image, person, core, known) > 0.5, keypoints, frame)
+        else:
+            # where the room is known and seen it is no person
+            may &= ~known | (person > 1 - CERTAIN) | thin
+            begun = np.where(known, person > CERTAIN, near_bones(keypoints, frame, image.shape[:2]))
+            inside = _whole(grab_cut(image, thin, begun, may) > 0.5, keypoints, frame)
+            room, known = _filled(image, room, known, inside, rim)
     out = np.zeros(inside.shape, np.uint8)
     # the person and some pixels round it
     for rows, columns in ndimage.find_objects(inside.astype(int)):

@@ -2,7 +2,7 @@
 
     o(x) = sum_i w_i d_i(x)                              of a vertex that shapes move (avatar/face.py)
     o(x) = (R_y(yaw) R_x(-pitch) - 1) (x - c)            of a vertex of an eye's ball about its center c
-    |x + o(x) - c| >= min(r + .3 mm, |x - c|)            of lids afterwards: vertices that a shape of that eye moves
+    |x + o(x) - c| >= min(r + .3 mm, |x - c|)            of lids afterwards: moving vertices beside the ball
 
 Every pass that draws the avatar adds o to the canonical position before the bones (shaders/face.glsl). An avatar whose
 face has not moved yet has none of this in its plan; where its face rests or cannot be seen nothing is uploaded.
@@ -19,16 +19,15 @@ from numpy import ndarray as Array
 
 from avatar.baked_avatar import Level
 from avatar.camera import Camera
-from avatar.face import REST, SHAPES, SIDES, Eye, FaceFrame, eye_turn
+from avatar.face import REST, SHAPES, Eye, FaceFrame, eye_turn
+from avatar.gaze import within_reach
 from avatar.skeleton import JOINT_NUMBERS
 from player.draw.drawing import Drawing, FrameInputs, Pose
 from player.draw.plan import FACE_UNIT, Attributes, Decision, Draft, Pass, PassState, vertex_order
 from player.draw.posing import PosedBones
 from player.draw.resources import AnyHandle, Handle, PlanResources
 
-# radians that an eye turns aside, up and down at most
-ASIDE, UP, DOWN = np.radians([35.0, 25.0, 30.0]).tolist()
-CLEARANCE = 3e-4  # metres from a ball to its lids
+CLEARANCE, BESIDE = 3e-4, 18e-3  # metres from a ball to its lids, and to the farthest skin that could come so near
 HEAD, HEAD_HEIGHT = JOINT_NUMBERS["head"], 0.23  # metres
 SMALLEST = 40  # pixels; the face of a smaller head is drawn at rest
 IDENTITY = np.eye(3)
@@ -60,14 +59,13 @@ class FaceBlend:
         self.balls: list[tuple[slice, Array, float]] = []
         self.lids: list[tuple[Array, Array, Array]] = []
         end = self.moving.stop
-        for side, eye, ball in zip(SIDES, eyes, balls, strict=True):
+        reach = np.linalg.norm(face.offsets, axis=2).sum(0)
+        for eye, ball in zip(eyes, balls, strict=True):
             center = eye.center.astype(np.float32)
             self.balls.append((slice(end, end + len(ball)), level.positions[ball] - center, eye.radius))
             end += len(ball)
-            own = [name.startswith("eye") and name.endswith(side.capitalize()) for name in SHAPES]
-            near, farthest = np.linalg.norm(rest - center, axis=1), np.linalg.norm(face.offsets[own], axis=2).sum(0)
-            # that could come near
-            lids = np.flatnonzero((farthest > 0) & (near < eye.radius + CLEARANCE + farthest))
+            near = np.linalg.norm(rest - center, axis=1)
+            lids = np.flatnonzero(near < eye.radius + np.minimum(CLEARANCE + reach, BESIDE))
             self.lids.append((lids, rest[lids] - center, np.minimum(near[lids], eye.radius + CLEARANCE)))
 
     def offsets(self, frame: FaceFrame) -> Float32[Array, "texels 4"]:
@@ -92,8 +90,7 @@ class FaceBlend:
 
 def within_limits(frame: FaceFrame) -> FaceFrame:
     """Weights from 0 to 1, and eyes no further than they turn."""
-    gaze = np.clip(frame.gaze, [-ASIDE, -DOWN], [ASIDE, UP])
-    return FaceFrame(np.clip(frame.weights, 0.0, 1.0), gaze)
+    return FaceFrame(np.clip(frame.weights, 0.0, 1.0), within_reach(frame.gaze))
 
 
 def head_pixels(bones: PosedBones, camera: Camera) -> float:

@@ -24,11 +24,12 @@ from PIL import Image
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.face import Eye
+from avatar.gaze import DOWN, UP, YAW
 from avatar.motion.clip import Clip
 from avatar.rotation import quaternion_from_axis_angle
 from avatar.skeleton import PARENTS, joint_transforms, rigid_inverse
 from files.input_file import JsonObject
-from player.draw.face import ASIDE, DOWN, UP, FaceBlend
+from player.draw.face import FaceBlend
 from player.draw.mesh import draw_order, interleaved
 from player.draw.posing import Poser
 
@@ -125,7 +126,7 @@ def packed_face(level: Level, eyes: tuple[Eye, Eye]) -> PackedFace:
         "balls": [[slots.start, slots.stop - slots.start] for slots, _, _ in blend.balls],
         "lids": [(1 + lids).tolist() for lids, _, _ in blend.lids],
         "eyes": [{"center": eye.center.tolist(), "radius": eye.radius} for eye in eyes],
-        "aside": [-ASIDE, ASIDE],
+        "aside": [-YAW, YAW],
         "upwards": [-DOWN, UP],
     }
     return PackedFace(facts, zlib.compress(data, 9), blend.slots)

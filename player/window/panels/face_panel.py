@@ -8,7 +8,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from avatar.face import PARTNERS, SHAPES
-from player.draw.face import ASIDE, DOWN, UP
+from avatar.gaze import DOWN, UP, YAW
 from player.window.panels.widgets import Widgets
 from player.window.posing import PoseEdit
 
@@ -34,7 +34,7 @@ class FacePanel:
         tip = "On: a slider moves both sides. Off: each side has its own."
         self.both_sides = ui.checkbox("both sides", self.both_sides, tip, beside=True)
         for k, (name, span, tip) in enumerate((
-            ("look aside", (-ASIDE, ASIDE), "Where both eyes look: to the person's left, or right below 0."),
+            ("look aside", (-YAW, YAW), "Where both eyes look: to the person's left, or right below 0."),
             ("look up", (-DOWN, UP), "Where both eyes look: up, or down below 0."),
         )):  # fmt: skip
             degrees = tuple(float(np.degrees(end)) for end in span)
