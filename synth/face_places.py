@@ -14,6 +14,8 @@ from synth.subject import SynthSubject
 
 # metres from the tip of the nose on the average face: middle of the left eye, and height of mouth and chin
 EYE, MOUTH, CHIN = (0.0325, 0.035), -0.038, -0.075
+# how little depth counts, which the average face knows least, of features before FRONT: metres from the tip of the nose
+DEPTH, FRONT = 0.3, -0.04
 # metres: heights of the profile that are told apart, where lips may meet, and how far that lies behind
 # the upper and the lower one
 STEP, LIPS, DENT = 0.0015, (-0.048, -0.022), (0.0007, 0.0003)
@@ -32,7 +34,8 @@ def face_places(subject: SynthSubject) -> dict[str, Float[Array, "3"]]:
     out = {}
     for name, spot in zip(names, spots, strict=True):
         # onto the skin: the mean of the vertices nearest to the spot
-        nearest = np.argsort(np.linalg.norm(candidates - (nose + spot), axis=1))[:4]
+        deep = DEPTH if spot[2] > FRONT else 1.0
+        nearest = np.argsort(np.linalg.norm((candidates - (nose + spot)) * [1, 1, deep], axis=1))[:4]
         out[name] = candidates[nearest].mean(0)
     return out
 

@@ -14,10 +14,12 @@ from avatar.gltf.scene import node_parents, parent_from_node, parents_first, rea
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
+from capture.fit.points import body_points
 from capture.folder import input_kind, read_capture
 from command.errors import AssetError
 from synth.command import SynthConfig, load_subject, synth
 from synth.cutout import cut_out
+from synth.face_places import face_places
 from synth.subject import read_subject
 
 MIXAMO = ["mixamorig:" + mixamo_names()[joint] for joint in JOINTS]
@@ -193,3 +195,18 @@ def test_landmarks_of_the_head_lie_where_the_template_has_them_in_the_pictures(c
         x, y = np.clip(pixels.round().astype(int), 0, 95).T
         seen.append(mask[y, x].mean())
     assert np.mean(seen) > 0.9
+
+
+@pytest.mark.parametrize("sex", ["male", "female"])
+def test_points_of_the_face_are_where_the_free_body_of_the_same_face_has_them(sex):
+    """The built-in people's faces are the free bodies', whose points were chosen by hand; features, not their depth."""
+    body, points = builtin_body(sex), body_points()
+    found = face_places(load_subject("builtin" if sex == "male" else "builtin:female"))
+    own = {name: points[name].place(body.vertices, body.joints) for name in found}
+    off = {name: (found[name] - found["nose"] - own[name] + own["nose"])[:2] for name in found}
+    features = [np.linalg.norm(off[f"face_{number:02d}"]) for number in range(17, 68)]
+    assert np.mean(features) < 0.005 and max(features) < 0.0125
+    # the line between the lips, and the corners of the eyes
+    for name in ("face_62", "face_66", "face_36", "face_45"):
+        assert np.linalg.norm(off[name]) < 0.0045, name
+    assert np.linalg.norm(off["left_ear"]) < 0.014
