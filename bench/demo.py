@@ -26,6 +26,7 @@ size = [640, 640]
 [[avatar]]
 path = "avatar.glb"
 motion = "counting"
+life = 1
 
 [[camera]]
 kind = "orbit"
