@@ -85,7 +85,8 @@ def single_untrained(preset: Preset, job: PartJob, capture: Capture) -> Untraine
     rays, cloud, flagged, lost = single_rays(job, capture, preset)
     template = single_template(capture, cloud, job.settings.cell)
     field = build_field(capture.subject, 0, job.settings, template, frames).to(device)
-    return Untrained(field, rays, flagged, lost)
+    own = torch.from_numpy(cloud.points[::8].astype(np.float32))
+    return Untrained(field, rays, flagged, lost, own)
 
 
 def single_rays(job: PartJob, capture: Capture, preset: Preset) -> tuple[RayTensors, SurfaceCloud, float, float]:

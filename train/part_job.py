@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from torch import Tensor
 
 from avatar.skeleton import PARTS
 from capture.fit.refine import poses_refined, with_refined, write_learned
@@ -35,6 +36,10 @@ from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, Position, Watch, peak_memory, train_field
 from train.union import write_rays
 
+# of a part's template, more than this share farther than so many metres from the learned surface is a part that breaks
+# off: `bake` would take its template (bake.broken_parts); looked at every so many steps
+BROKEN_SHARE, BROKEN_OFF, LOOK_EVERY = 0.1, 0.03, 50
+
 
 class Untrained(NamedTuple):
     """A part before its first step."""
@@ -43,6 +48,7 @@ class Untrained(NamedTuple):
     rays: RayTensors
     flagged: float  # share of the rays left out as ambiguous
     lost: float  # share of the person's pixels whose ray meets no template
+    template: Float[Tensor, "n 3"]  # points of the part's template
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,10 +161,19 @@ def _untrained(job: PartJob, capture: Capture, reporter: Reporter) -> Untrained:
 def _trained(job: PartJob, part: Untrained, reporter: Reporter) -> tuple[Position, dict[str, float]]:
     """The part trained in place: how far it is, and the numbers of its last step."""
     last: dict[str, float] = {}
+    points, whole = part.template.to(part.rays.ends.device), True
 
     def report(iteration: int, step: StepReport) -> None:
+        nonlocal whole
         last.update(vars(step))
         reporter.step(iteration, step_note(step))
+        if iteration % LOOK_EVERY == 0 or iteration == job.settings.iterations:
+            share = share_off(part.field, points)
+            if whole != (share <= BROKEN_SHARE):
+                whole = not whole
+                reporter.say(f"{job.name}: step {iteration}: " + ("it is whole again" if whole else
+                    f"it breaks off: {share:.0%} of its template is more than {BROKEN_OFF * 100:.0f} cm from what is "
+                    "learned; as it is, bake would keep the template"))  # fmt: skip
 
     at, folder = Position(), Path(job.folder)
     log = TrainingLog(folder / "logs", job.name) if job.ranks.writes else None
@@ -172,6 +187,12 @@ def _trained(job: PartJob, part: Untrained, reporter: Reporter) -> tuple[Positio
         if log is not None:
             log.close()
     return at, last
+
+
+@torch.no_grad()
+def share_off(field: PartField, points: Float[Tensor, "n 3"]) -> float:
+    """The share of `points` of a part's template (canonical) that lie farther than BROKEN_OFF from its surface."""
+    return float((field(points).distance.abs() > BROKEN_OFF).float().mean())
 
 
 def _keep_poses(job: PartJob, field: PartField, rays: RayTensors, video: PartVideo) -> None:
@@ -206,7 +227,8 @@ def part_untrained(job: PartJob, capture: Capture) -> Untrained:
     if name != "body":
         chosen = replace(chosen, per_frame=min(chosen.per_frame, asked))
     rays = part_rays(filmed, chosen, generator)
-    return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost)
+    own = torch.from_numpy(cloud.points[cloud.part == job.index][::8].astype(np.float32))
+    return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost, own)
 
 
 def template_field(

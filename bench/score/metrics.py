@@ -53,6 +53,8 @@ class ComparedPicture(NamedTuple):
     mask: Bool[Array, "height width"] | None = None
     # LPIPS, where its weights are at hand
     perceive: Perceive | None = None
+    # what `image` holds of the whole person; None: of a region
+    shown: Bool[Array, "height width"] | None = None
 
     def cut(self) -> tuple[Array, Array]:
         return self.truth[self.where], self.image[self.where]
@@ -76,6 +78,8 @@ class Metric(NamedTuple):
     of_surfaces: Callable[[SurfaceDistance], float | None] | None = None
     # whether rungs of the player have it as well
     of_rungs: bool = False
+    # what the scores of many pictures make together; None: `pooled_score`
+    pool: Callable[[list[float]], float] | None = None
 
 
 def psnr_score(error: PooledError) -> Score:
@@ -124,6 +128,14 @@ def flip(truth: Float[Array, "height width 3"], image: Float[Array, "_ _ 3"]) ->
     b = np.ascontiguousarray(np.clip(image[where], 0, 1), dtype=np.float32)
     _, mean, _ = flip_evaluator.evaluate(a, b, "LDR", applyMagma=False)
     return Score(float(mean) * (a.size / truth.size))
+
+
+def outline_iou(compared: ComparedPicture) -> Score | None:
+    """Intersection over union of the true outline and ours, where the whole person is compared."""
+    if compared.mask is None or compared.shown is None:
+        return None
+    true, ours = compared.mask, compared.shown
+    return Score(float((true & ours).sum() / max(int((true | ours).sum()), 1)))
 
 
 def lpips(truth: Float[Array, "height width 3"], image: Float[Array, "_ _ 3"]) -> Score:
@@ -182,9 +194,9 @@ METRICS = (
     Metric("chamfer_cm", "CD cm", 2, "lower", of_surfaces=lambda d: d.chamfer),
     Metric("f_5mm", "F 5 mm", 2, "higher", of_surfaces=lambda d: d.f_5mm),
     Metric("f_1cm", "F 1 cm", 2, "higher", of_surfaces=lambda d: d.f_1cm),
-    # a standing person alone has outlines: bench/score/outlines.py
-    Metric("outline_iou", "IoU", 3, "higher"),
-    Metric("outline_worst", "IoU worst", 3, "higher"),
+    # of the whole person's pictures; of the person standing, and of parts: bench/score/outlines.py
+    Metric("outline_iou", "IoU", 3, "higher", outline_iou),
+    Metric("outline_worst", "IoU worst", 3, "higher", outline_iou, pool=min),
     # features of the standing head: bench/score/landmarks.py
     Metric("face_mm", "face mm", 1, "lower"),
     Metric("psnr_db", "box dB", 2, "higher", lambda p: p.box_error(), of_rungs=True),
@@ -220,7 +232,12 @@ class ImageScores:
 
     def scores(self) -> dict[str, Score]:
         """By metric; of no pictures each with its reason."""
-        return {m.key: pooled_score(self.samples.get(m.key, [])) for m in self.metrics}
+        out = {}
+        for metric in self.metrics:
+            score = pooled_score(samples := self.samples.get(metric.key, []))
+            values = [s.value for s in samples if isinstance(s, Score) and s.value is not None]
+            out[metric.key] = Score(metric.pool(values)) if metric.pool and values else score
+        return out
 
 
 def text_of(scores: Mapping[str, Any], metric: Metric) -> str:

@@ -131,7 +131,8 @@ def score_images(
         where = rectangle(box)
         if where is not None:
             looked_at[where] = around[where]
-        image = draw(own.axis_angle, own.root, view.camera, SAMPLES, looked_at).color * around[..., None]
+        drawn = draw(own.axis_angle, own.root, view.camera, SAMPLES, looked_at)
+        image = drawn.color * around[..., None]
         truth = view.image() * around[..., None]
         compared = {region: (box, mask)}
         if region == "head" and raster is not None and with_eyes:
@@ -143,7 +144,8 @@ def score_images(
             where = rectangle(box)
             # what lies outside the picture counts as no picture
             if where is not None:
-                into[name].add(ComparedPicture(truth, image, where, box, mask, perceive))
+                shown = drawn.mask if name == "total" else None
+                into[name].add(ComparedPicture(truth, image, where, box, mask, perceive, shown))
     return scores
 
 

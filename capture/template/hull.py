@@ -39,10 +39,6 @@ ERODED = 0.006
 FARTHEST = 0.12  # metres: no hair stands farther off
 # metres: farther than this off the template is hair
 STANDS_OFF = 0.015
-# a cell is empty when a greater share of the views that see it show background there, and metres off the trunk that are
-# hair; the second pair where poses are from the videos: outlines are a centimetre off, shoulders two, and a tenth of
-# the views contradicts half of the hair
-GIVEN, ESTIMATED = (0.1, STANDS_OFF), (0.2, 0.025)
 # cubic metres, a tenth of a litre: less standing off is an ear, a collar, a hull's hollow
 LEAST = 1e-4
 # share of a head's height over its lowest skin where the brow is: all that stands off above it is hair
@@ -51,11 +47,28 @@ BROW = 0.65
 FACE, THROAT = 0.06, 0.06
 # metres over the head's lowest skin from which on what stands off behind the face is surely hair
 CHIN = 0.08
+# metres behind the middle of the skull where the neck's back begins
+NAPE = 0.06
 RISEN = 5  # poses of the body's video whose shoulders are asked
 # levels under the neck over which hair hangs one cell farther out
 STEEP = 3
 # metres beside what stands off, over which its edge sinks to the skin
 BESIDE = 0.045
+
+
+class Trust(NamedTuple):
+    """What is hair where template and poses are known so well."""
+
+    against: float  # a cell is empty when a greater share of the views that see it show background there
+    trunk: float  # metres off the trunk that are hair
+    over: float  # metres over the head's lowest skin to which shoulders may rise
+    beside: float  # metres beside what stands off before the nape, over which its edge sinks to the trunk
+
+
+GIVEN = Trust(0.1, STANDS_OFF, 0.0, BESIDE)
+# poses from the videos: outlines are a centimetre off, shoulders two, and a tenth of the views contradicts half of the
+# hair; an edge as wide as in what is given is a plate on the shoulder
+ESTIMATED = Trust(0.2, 0.025, 0.03, 0.015)
 
 
 class MaskView(NamedTuple):
@@ -137,7 +150,7 @@ class Pictures(NamedTuple):
 
 def carve(
     views: Sequence[MaskView], template: DistanceGrid, scalp: Scalp, pictures: Pictures | None = None,
-    trust: tuple[float, float] = GIVEN,
+    trust: Trust = GIVEN,
 ) -> Hair | None:  # fmt: skip
     """What the views hold round the template, where it stands off far enough to be hair; None: nothing.
 
@@ -147,21 +160,22 @@ def carve(
     distance, cell = template.values.astype(np.float64), template.cell
     low = template.low.astype(np.float64)
     axes = [low[i] + cell * np.arange(distance.shape[i]) for i in range(3)]
+    _, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
     held = distance < 0
     asked = np.argwhere(~held & (distance < FARTHEST))
     share, seen = background_share(low + cell * asked, views)
-    against, trunk = trust
-    held[tuple(asked.T)] = (share <= against) & (seen >= SEEN_BY)
+    held[tuple(asked.T)] = (share <= trust.against) & (seen >= SEEN_BY)
     if pictures is not None:
         sure = None
         if pictures.bare is not None:
-            _, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
             grows = (y > scalp.neck + CHIN) & (z < scalp.middle[1])
             sure = Sure(np.broadcast_to(grows, held.shape), pictures.bare)
         held &= ~carve_hollows(held, held & (distance > cell), low, cell, pictures.subject, pictures.views, sure)
     hull = distance_to(~held) * cell > ERODED
-    least = np.where(axes[1] > scalp.neck, STANDS_OFF, trunk)
-    standing = hull & (distance > least[:, None])
+    head = y > scalp.neck + np.where(z > scalp.middle[1] - NAPE, trust.over, 0.0)
+    least = np.where(head, STANDS_OFF, trust.trunk)
+    beside = np.where(head | (z < scalp.middle[1] - NAPE), BESIDE, trust.beside)
+    standing = hull & (distance > least)
     standing = np.asarray(ndimage.binary_opening(standing, ndimage.generate_binary_structure(3, 1)), bool)
     standing &= hanging(hull & (distance > -2 * cell), axes, scalp)
     above = np.broadcast_to((axes[1] > scalp.neck)[:, None], standing.shape)
@@ -169,7 +183,7 @@ def carve(
     if not standing.any():
         return None
     # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin
-    edge = least[:, None] * (1 - distance_to(standing) * cell / BESIDE)
+    edge = least * (1 - distance_to(standing) * cell / beside)
     solid = hull & (distance > -2 * cell) & (distance < edge) | standing
     return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
 

@@ -44,6 +44,9 @@ def test_a_perfect_avatar_has_true_outlines_its_own_weights_and_t_pose_frames_ap
     assert result["beside"]["poses"] == 1
     assert result["beside"]["t_pose_frames"]["total"]["psnr_db"] > 30
     assert result["novel_view"]["total"]["psnr_db"] > 30
+    for name in ("novel_pose", "novel_view"):
+        assert 0.97 < result[name]["total"]["outline_worst"] <= result[name]["total"]["outline_iou"]
+        assert result[name]["head"]["outline_iou"] is None  # of whole people alone
     for region in ("head", "hands", "total"):
         scores = result["beside"]["t_pose"][region]
         assert 0.97 < scores["outline_worst"] <= scores["outline_iou"]

@@ -12,15 +12,15 @@ BUDGET = {
     "command": 1_259,
     "avatar": 9_268,
     "geometry": 1_728,
-    "capture": 11_721,
-    "train": 5_434,
+    "capture": 11_735,
+    "train": 5_456,
     "bake": 5_862,
     "player": 20_285,
     "shaders": 1_005,
     "synth": 3_840,
-    "bench": 5_568,
+    "bench": 5_587,
     "selfscan": 432,
-    "tests": 36_098,
+    "tests": 36_125,
 }
 
 

@@ -22,9 +22,10 @@ from capture.light.fit import LightFit
 from capture.template.parts import part_boxes
 from capture.template.surface import surface_cloud, visible_faces
 from command.errors import AssetError
+from command.progress import Reporter
 from experiments.variants import variant
+from train import part_job, stages
 from train import run as run_folder
-from train import stages
 from train.fused import FusedField
 from train.networks.triplane import TriPlaneNetworks
 from train.objective import Batch, functions_of, ray_tensors, render_rays
@@ -273,3 +274,26 @@ def test_the_surface_is_the_skin_although_the_field_is_hollow_and_a_pinhole_lead
     # what is left are folds of the face; a third of all vertices when the hollow stays
     assert (depth > 0.024).mean() < 0.002
     assert trimesh.Trimesh(vertices, faces, process=False).volume > 0.03  # m³; negative where triangles face inwards
+
+
+def test_a_part_that_breaks_off_is_said_while_it_trains_and_when_it_is_whole_again(hand, tmp_path, monkeypatch):
+    make, rays = hand
+    field, preset = make(), replace(TINY, parts=(replace(TINY.parts[2], iterations=40),))
+    points = torch.from_numpy(surface_points(field))
+    job = part_job.PartJob(capture="", index=0, preset=preset, canonical_from_head=np.eye(4), folder=str(tmp_path),
+                           device="cpu", threads=1)  # fmt: skip
+    part = part_job.Untrained(field, rays, 0.0, 0.0, points)
+    shares, said = iter([0.05, 0.3, 0.4, 0.02]), []
+    monkeypatch.setattr(part_job, "LOOK_EVERY", 10)
+    assert part_job.share_off(field, points) == 0 and part_job.share_off(field, points + 0.05) > 0.5
+    monkeypatch.setattr(part_job, "share_off", lambda *_: next(shares))
+    part_job._trained(job, part, Reporter(said.append, lambda *_: None))
+    assert len(said) == 2 and "breaks off: 30% of its template" in said[0] and said[1].endswith("it is whole again")
+
+
+def surface_points(field):
+    """Points on the zero set of an untrained part's grid, canonical."""
+    grid = np.stack(np.meshgrid(*[np.linspace(0.02, 0.98, 60)] * 3), -1).reshape(-1, 3).astype(np.float32)
+    inside = torch.from_numpy(grid) * (field.high - field.low) + field.low
+    with torch.no_grad():
+        return inside[field(inside).distance.abs() < 0.002].numpy()
