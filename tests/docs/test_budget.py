@@ -18,9 +18,9 @@ BUDGET = {
     "player": 20_285,
     "shaders": 1_005,
     "synth": 3_840,
-    "bench": 5_568,
+    "bench": 5_479,
     "selfscan": 432,
-    "tests": 36_098,
+    "tests": 36_075,
 }
 
 
