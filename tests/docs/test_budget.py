@@ -15,7 +15,7 @@ BUDGET = {
     "capture": 11_721,
     "train": 5_434,
     "bake": 5_862,
-    "player": 20_285,
+    "player": 20_252,
     "shaders": 1_005,
     "synth": 3_840,
     "bench": 5_479,

@@ -133,7 +133,7 @@ def test_rings_turn_about_the_axes_of_the_joint_or_of_the_world(opened, joint):
     # ImGuizmo knows right-handed axes only
     assert np.linalg.det(axes) == pytest.approx(1)
     edit.tool.turn(matrix_from_axis_angle(axes[:, 2] * 0.2) @ axes)
-    edit.tool.release(0.0, 0.0)
+    edit.tool.release()
     change = joint_angles(session.pose.axis_angle)[J[joint]] - start
     np.testing.assert_allclose(np.abs(change), [0, 0, 0.2], atol=1e-9)
     edit.tool.frame = "world"

@@ -256,11 +256,11 @@ def test_joints_are_picked_where_they_are_seen_and_under_the_pointer_nearest_fir
     pixels, depth = project(camera, places)
     for joint in ("left_elbow", "right_knee", "head"):
         k = JOINTS.index(joint)
-        assert picked_joint(places, camera, pixels[k] + [3, -2]) == k
-    assert picked_joint(places, camera, np.array([5.0, 5.0])) is None
+        assert picked_joint(places, camera, pixels[k] + [3, -2], 14.0) == k
+    assert picked_joint(places, camera, np.array([5.0, 5.0]), 14.0) is None
     # one behind the other, one behind the eye
     two = np.array([[0, 0, 0.5], [0, 0, -0.5], [0, 0, 9.0]])
-    assert picked_joint(two, camera, np.array([320.0, 240.0])) == 0
+    assert picked_joint(two, camera, np.array([320.0, 240.0]), 14.0) == 0
 
 
 def test_the_nearer_of_two_avatars_is_picked_and_a_ray_beside_them_meets_nothing(avatar):

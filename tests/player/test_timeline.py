@@ -146,7 +146,7 @@ def test_the_path_is_smooth_stands_still_at_its_ends_and_a_straight_run_stays_ev
         assert np.allclose(path.camera(time, SIZE).eye, KEYS[key]["eye"], atol=1e-12)
     assert path.duration == 3.5
     cameras = [Camera(pinhole(SIZE, 0.6), look_at((x, 1, 4), (x, 1, 0)), SIZE) for x in (0.0, 0.5, 2.0)]
-    run = CameraPath.through([0.0, 1.0, 4.0], cameras, 4.0)
+    run = CameraPath.through([0.0, 1.0, 4.0], cameras)
     for time in np.linspace(0, 4, 9):
         assert np.abs(run.camera(time, SIZE).eye - (0.5 * time, 1, 4)).max() < 1e-12
 
