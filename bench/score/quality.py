@@ -29,15 +29,7 @@ from bench.score.lpips import read_perceptual
 from bench.score.metrics import Perceive
 from bench.score.outlines import SIDES, outline_scores
 from bench.score.picture_scores import NO_EYES, PictureJudge, is_t_pose, score_images
-from bench.score.pose_distances import (
-    BESIDE,
-    JudgedSurfaces,
-    Placement,
-    Rows,
-    fitted_poses,
-    measure_poses,
-    same_poses,
-)
+from bench.score.pose_distances import BESIDE, JudgedSurfaces, Placement, Rows, fitted_poses, measure_poses, same_poses
 from bench.score.posed_geometry import (
     Distances,
     GeometryCase,

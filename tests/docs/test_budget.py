@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 11_721,
     "train": 5_434,
     "bake": 5_862,
-    "player": 20_252,
+    "player": 20_206,
     "shaders": 1_005,
     "synth": 3_840,
-    "bench": 5_479,
+    "bench": 5_457,
     "selfscan": 432,
-    "tests": 36_075,
+    "tests": 35_552,
 }
 
 

@@ -29,7 +29,7 @@ def test_a_second_of_play_is_a_second_of_clip_at_any_speed():
         assert line.frame == int(30 * speed) and abs(line.seconds - speed) < 1e-12
 
 
-def test_steps_pause_and_a_timeline_needs_frames():
+def test_steps_pause_and_stay_in_the_clip():
     line = Timeline(100, 30)
     line.step(-3)
     assert line.frame == 0 and not line.playing
@@ -38,9 +38,6 @@ def test_steps_pause_and_a_timeline_needs_frames():
     for seconds in (0.0, 1.0, 1.033, 99.0, -1.0):
         line.scrub(seconds)
         assert line.frame == min(max(int(seconds * 30 + 1e-6), 0), 99)
-    for frames, rate in ((0, 30), (10, 0), (10, float("nan"))):
-        with pytest.raises(ValueError, match="needs frames and a rate"):
-            Timeline(frames, rate)
 
 
 def test_time_stays_in_the_clip_over_a_long_run():
@@ -257,8 +254,3 @@ def test_a_camera_that_goes_round_leaves_even_margins(avatar_path, tmp_path, siz
         avatar_path, tmp_path / "f", size, "--motion", "counting", "--frames", "0:45", "--camera", camera, *seconds
     )
     check(found, size, play=0.02)
-
-
-def test_a_t_pose_fills_the_width(avatar_path, tmp_path):
-    left, right, top, bottom = filmed(avatar_path, tmp_path / "f", (640, 640))
-    assert abs(left - 38) <= 4 and abs(right - 38) <= 4 and abs(top - bottom) <= 4
