@@ -11,14 +11,13 @@ from painted_capture import free_subject
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, orbit_camera, pinhole
-from avatar.psnr import error_between
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS
 from avatar.skinning import SkinWeights
 from bench.field.posed_field import PosableSurface
 from bench.score.landmarks import INNER, face_landmarks_mm
 from bench.score.lpips import CONVOLUTIONS, read_perceptual
-from bench.score.metrics import flip, ssim
+from bench.score.metrics import flip
 from bench.score.outlines import FOV, outline_scores
 from bench.score.picture_scores import PictureJudge, eye_region, score_images
 from bench.score.posed_geometry import geometry_case, posed_pair, skin_beside_hair
@@ -136,16 +135,7 @@ def test_a_moved_sphere_half_a_sphere_and_a_larger_one_have_the_distances_of_clo
 RNG = np.random.default_rng(7)
 
 
-def noisy(image, sigma, seed=0):
-    return np.clip(image + np.random.default_rng(seed).normal(0, sigma, image.shape), 0, 1)
-
-
-def test_images_are_scored_by_their_noise_and_shared_black_ground_is_left_out():
-    image = RNG.random((64, 64, 3))
-    levels = [noisy(image, sigma) for sigma in (0.02, 0.08, 0.25)]
-    assert np.all(np.diff([error_between(image, x).psnr() for x in levels]) < 0)
-    assert np.all(np.diff([ssim(image, x).value for x in levels]) < 0)
-    assert np.all(np.diff([flip(image, x).value for x in levels]) > 0)
+def test_shared_black_ground_is_left_out():
     small = np.zeros((2, 90, 90, 3), np.float32)
     small[:, 30:60, 30:60] = RNG.random((2, 30, 30, 3))
     wide = np.pad(small, ((0, 0), (100, 100), (100, 100), (0, 0)))
@@ -171,7 +161,7 @@ def truth(*quads, eye):
 
 
 CAMERA = Camera(pinhole((SIZE, SIZE), 0.1), look_at((0, 0, 1.0), (0, 0, 0)), (SIZE, SIZE))
-FACE, EYE, LID = quad(0, 0, 0, 0.04), quad(0.01, 0, 0.001, 0.004), quad(0.012, 0, 0.002, 0.002)
+FACE, EYE = quad(0, 0, 0, 0.04), quad(0.01, 0, 0.001, 0.004)
 
 
 def test_the_region_is_what_shows_of_the_eye_and_three_millimetres_round_it(rasteriser):

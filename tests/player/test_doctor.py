@@ -291,31 +291,6 @@ def test_two_contexts_of_one_mesa_take_turns(osmesa):
         context.release()
 
 
-def test_counts_see_objects_calls_and_bytes():
-    context = open_context()
-    counts, gl = context.counts, context.gl
-    buffer = gl.buffer(bytes(100))
-    texture = gl.texture((8, 4), 4, bytes(128))
-    assert counts.objects() == {"buffer": 1, "texture": 1}
-    assert counts.uploaded == 228 and counts.live_bytes == 228
-    buffer.write(bytes(50))
-    assert counts.uploaded == 278
-    buffer.release()
-    assert counts.objects() == {"texture": 1} and counts.live_bytes == 128
-    texture.release()
-    assert counts.objects() == {} and counts.live_bytes == 0
-    context.release()
-
-
-def test_an_attachment_that_outlives_its_framebuffer_is_seen():
-    context = open_context()
-    gl = context.gl
-    target = gl.framebuffer([gl.texture((4, 4), 4)], gl.depth_renderbuffer((4, 4)))
-    target.release()
-    assert context.counts.objects() == {"texture": 1, "renderbuffer": 1}
-    context.release()
-
-
 KEPT = """
 import ctypes
 import sys
@@ -353,10 +328,3 @@ def test_a_large_block_goes_back_though_small_ones_were_made_after_it():
         for way in ("as it is", "give back")
     }
     assert kept["as it is"] > 8e6 and kept["give back"] < 2e6
-
-
-def test_elsewhere_nothing_is_done(monkeypatch):
-    from player.gl import memory
-
-    monkeypatch.setattr(memory.ctypes, "CDLL", lambda _name: object())
-    memory.give_back_freed_memory()

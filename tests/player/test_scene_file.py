@@ -90,19 +90,12 @@ def test_every_key_arrives(scene_file):
 
 
 MISTAKES = [  # (what stands in FULL, what stands there instead, line, the complaint)
-    (
-        '"turn_deg" = 30',
-        '"turndeg" = 30',
-        10,
-        r"avatar 1\.turndeg: unknown key in \[\[avatar\]\]; did you mean turn_deg\?",
-    ),
+    ('"turn_deg"', '"turndeg"', 10, r"avatar 1\.turndeg: unknown key in \[\[avatar\]\]; did you mean turn_deg\?"),
     ("[effects]", "[efects]", 26, r"efects: unknown key in a scene; did you mean effects\?"),
     ("exposure", "qqq", 25, r"background\.qqq: unknown key in \[background\]; \[background\] has kind, color, path"),
     ("seconds = 8", 'seconds = "8"', 18, r"camera 1\.seconds: expected a number, found the string '8'"),
     ("start = 1", "start = true", 13, r"avatar 2\.start: expected a number, found true"),
-    ("start = 1", "start = -1", 13, r"avatar 2\.start: expected at least 0, found -1"),
     ("rate = 24", "rate = 0", 2, r"rate: expected at least 0.01, found 0"),
-    ("rate = 24", "rate = inf", 2, r"rate: expected a finite number, found inf"),
     ("rate = 24", "rate = ", 2, r"Invalid value, column 11"),
     ("[640, 480]", "[640]", 1, r"size: expected 2 whole numbers in brackets, found 1 of them"),
     ("[640, 480]", "[640, 480.5]", 1, r"size: expected a whole number, found the number 480\.5"),
@@ -112,12 +105,7 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ('"sky.hdr"', '"sky.exr"', 24, r"background\.path: no such file: .*sky\.exr"),
     ('path = "sky.hdr"\n', "", 22, r"background: background hdr needs a path"),
     ('kind = "hdr"', 'kind = "sky"', 23, r"background\.kind: expected one of color, image, video, hdr, transparent"),
-    (
-        'kind = "hdr"',
-        'kind = "transparent"\ncolor = "#000000"',
-        24,
-        r"background\.color: a transparent background takes no color",
-    ),
+    ('"hdr"', '"transparent"\ncolor = "#000000"', 24, r"background\.color: a transparent background takes no color"),
     ("exposure = -1", 'color = "red"', 25, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
     ("vmc:0.0.0.0:39539", "osc:1", 14, r"avatar 2\.live: expected one of vmc:PORT, .*, found 'osc:1'"),
     ("start = 1", 'motion = "walking"', 13, r"avatar 2\.motion: motion and live: expected one of them, found both"),
@@ -127,7 +115,6 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ("width = 3", "width = 0", 30, r"effects\.outline\.width: expected more than 0, found 0"),
     ("width = 3", 'color = "#ff000080"', 30, r"effects\.outline\.color: expected an opaque color"),
     ("width = 3", "with = 2", 30, r"effects\.outline\.with: unknown key in \[effects\.outline\]; did you mean width\?"),
-    ("fxaa", "smaa", 28, r"effects\.antialiasing: expected one of auto, none, fxaa, msaa, found 'smaa'"),
 ]
 
 
@@ -144,8 +131,6 @@ def test_tables_of_the_wrong_kind_are_refused_and_a_bare_scene_has_defaults(scen
         read_scene(scene_file('[camera]\n[[avatar]]\npath = "mannequin"'))
     with pytest.raises(AssetError, match=r"toml:1: effects: expected a table, \[effects\], found the number 3"):
         read_scene(scene_file('effects = 3\n[[avatar]]\npath = "mannequin"'))
-    with pytest.raises(AssetError, match=r"toml:1: effects\.outline: expected a table, \[effects\.outline\], found"):
-        read_scene(scene_file('effects.outline = 3\n[[avatar]]\npath = "mannequin"\n'))
     with pytest.raises(AssetError, match=r"expected at least one \[\[avatar\]\], found none"):
         read_scene(scene_file("\n"))
     with pytest.raises(AssetError, match=r"absent\.toml: no such file; expected a scene"):
