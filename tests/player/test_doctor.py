@@ -7,7 +7,6 @@ import platform
 import subprocess
 import sys
 from ctypes import POINTER, c_int, c_uint, c_void_p
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -41,7 +40,7 @@ def cards(monkeypatch):
     def devices(most, handles, count):
         for i in range(len(CARDS)):
             handles[i] = 0x1000 + i
-        count[0] = len(CARDS)
+        count._obj.value = len(CARDS)
         return 1
 
     def text(handle, name):
@@ -60,41 +59,21 @@ def cards(monkeypatch):
     def attribute(handle, name, value):
         cuda = CARDS[handle - 0x1000][0]
         assert name == contexts.EGL_CUDA_DEVICE
-        value[0] = cuda
+        value._obj.value = cuda
         return int(cuda is not None)
 
     def display(platform, device, attributes):
         taken.append(device)
         return get_display(platform, software.handle, None) or 0
 
-    callbacks = {
-        "eglQueryDevicesEXT": ctypes.CFUNCTYPE(c_uint, c_int, POINTER(c_void_p), POINTER(c_int))(devices),
-        "eglQueryDeviceStringEXT": ctypes.CFUNCTYPE(c_void_p, c_void_p, c_int)(
-            lambda handle, name: keep(text(handle, name))
-        ),
-        "eglQueryDeviceAttribEXT": ctypes.CFUNCTYPE(c_uint, c_void_p, c_int, POINTER(c_void_p))(attribute),
-        "eglGetPlatformDisplayEXT": ctypes.CFUNCTYPE(c_void_p, c_uint, c_void_p, POINTER(c_int))(display),
-    }
-    kept: list[ctypes.Array] = []
-
-    def keep(content):
-        kept.append(ctypes.create_string_buffer(content))
-        return ctypes.addressof(kept[-1])
-
-    def get_address(name):
-        if name.decode() in callbacks:
-            return ctypes.cast(callbacks[name.decode()], c_void_p).value
-        return real.library.eglGetProcAddress(name)
-
-    names = ("eglQueryString", "eglInitialize", "eglChooseConfig", "eglCreateContext", "eglMakeCurrent",
-             "eglDestroyContext", "eglBindAPI", "eglGetError")  # fmt: skip
-    library = SimpleNamespace(eglGetProcAddress=get_address, **{name: getattr(real.library, name) for name in names})
-    found = contexts._library
-
-    def ours(*wanted):
-        return library if wanted[0] == "libEGL.so.1" else found(*wanted)
-
-    monkeypatch.setattr(contexts, "_library", ours)
+    ours = {
+        "eglQueryDevicesEXT": devices, "eglQueryDeviceStringEXT": text, "eglQueryDeviceAttribEXT": attribute,
+        "eglGetPlatformDisplayEXT": display,
+    }  # fmt: skip
+    function = contexts.Egl.function
+    monkeypatch.setattr(
+        contexts.Egl, "function", lambda self, name, *kinds: ours.get(name) or function(self, name, *kinds)
+    )
     return taken
 
 

@@ -24,7 +24,7 @@ from player.film.stage import Stage, camera_from_option
 from player.scene.effects import STUDIO, Effects
 from player.scene.opened import opened_avatars
 from player.scene.scene import Scene, SceneAvatar, SceneCamera
-from player.scene.scene_file import lines_of_keys, read_scene, write_scene
+from player.scene.scene_file import read_scene, write_scene
 from player.window.show import opened_show
 
 FULL = '''\
@@ -141,35 +141,6 @@ def test_tables_of_the_wrong_kind_are_refused_and_a_bare_scene_has_defaults(scen
     scene = read_scene(scene_file('background.color = "#ff804080"\n[[avatar]]\npath = "mannequin"'))
     alpha = 128 / 255
     assert scene.background.color == pytest.approx((alpha, alpha * 128 / 255, alpha * 64 / 255, alpha))
-
-
-def test_lines_of_keys_knows_every_key_that_toml_reads():
-    text = '''a = 1
-"b.c" = """
-d = 2
-"""  # e = 3
-f.g = [ # h = 1
-  { i = 1 },
-  "j = ]",
-]
-[k."l m"]
-n = 'o = 1'
-[[p]]
-[p.q]
-r = { s = 1 }
-[[p]]
-t = 2020-01-01'''
-    lines = lines_of_keys(text)
-    assert lines == {
-        ("a",): 1, ("b.c",): 2, ("f",): 5, ("f", "g"): 5, ("k", "l m"): 9, ("k", "l m", "n"): 10, ("p", 0): 11,
-        ("p", 0, "q"): 12, ("p", 0, "q", "r"): 13, ("p", 0, "q", "r", "s"): 13,
-        ("p", 1): 14, ("p", 1, "t"): 15,
-    }  # fmt: skip
-    content = tomllib.loads(text)
-    for key in lines:
-        place = content
-        for part in key:
-            place = place[part]
 
 
 EXAMPLES = sorted((DOCS / "scenes").glob("*.toml"))

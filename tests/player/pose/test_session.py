@@ -18,7 +18,6 @@ from command.errors import AssetError
 from player.draw.posing import grounded
 from player.pose.fingers import PRESETS
 from player.pose.history import KeptPose
-from player.pose.ik import LIMBS
 from player.pose.library import BUILTIN, Library, builtin_pose, check_name, user_folder
 from player.pose.mirror import limb_of
 from player.pose.session import PoseSession
@@ -168,17 +167,6 @@ def test_pinned_feet_stay_where_they_are_and_as_they_are_turned(seed):
     s.pin("left_foot", False)
     s.move(s.pose, s.pose.root + [0, 0.2, 0])
     assert s.world()[feet[0], 1, 3] > turned[1, 3] + 0.15
-
-
-def test_reaching_puts_the_wrist_there_and_limits_come_last():
-    s = session()
-    target = s.world()[J["left_shoulder"], :3, 3] + [0.2, -0.1, 0.3]
-    s.reach(s.pose, "left_hand", target, follow=True)
-    assert np.linalg.norm(s.world()[LIMBS["left_hand"].end, :3, 3] - target) < 1e-6
-    assert within(s.pose.axis_angle, 1e-9).all()
-    behind = s.world()[J["left_shoulder"], :3, 3] + [0.0, 0.0, -0.5]
-    s.reach(s.pose, "left_hand", behind)
-    assert within(s.pose.axis_angle, 1e-6).all()
 
 
 def test_a_saved_pose_is_a_motion_of_one_frame_fitted_to_whoever_takes_it(tmp_path):
