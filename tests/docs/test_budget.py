@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 3_840,
     "bench": 5_457,
     "selfscan": 432,
-    "tests": 35_442,
+    "tests": 35_417,
 }
 
 

@@ -130,6 +130,11 @@ def test_clicking_the_avatar_marks_the_joint(window):
     assert window.parts.state.selection.name == "someone: head"
     yellow = (np.abs(marked - [255, 204, 51]).max(-1) < 12).nonzero()
     assert len(yellow[0]) > 30 and abs(yellow[0].mean() - y) < 40
+    # a drag picks nothing, a click beside lets go
+    run(window, f"drag:{left + 20}:{top + 80}:{left + 30}:{top + 80} wait")
+    assert window.parts.state.selection.name == "someone: head"
+    run(window, f"click:{left + 20}:{top + 80} wait")
+    assert window.parts.state.selection.name == "someone"
 
 
 def test_effects_change_what_is_drawn_and_what_cannot_be_is_said(window, capsys):

@@ -16,7 +16,6 @@ from command.errors import AssetError
 from player.play_command import play_main
 from player.scene.camera_path import CameraPath
 from player.scene.cameras import Cameras, Orbit
-from player.window.panels import hud_panel
 from player.window.script import GESTURES, steps
 from player.window.window import Window
 from tests.window_script import run
@@ -55,10 +54,6 @@ def test_keys_play_pause_step_scrub_and_reset(shot):
     assert np.array_equal(shot("end"), shot("space home"))  # playing, the clip starts over
 
 
-def test_speed_changes(shot):
-    assert np.array_equal(shot("space home ] space wait space"), shot("space home . . . ."))
-
-
 def test_view_dependence_switches(shot):
     full, paper, off = shot("space home"), shot("space home v"), shot("space home", "--view", "off")
     assert not np.array_equal(full, paper) and np.array_equal(paper, off)
@@ -74,21 +69,6 @@ def test_two_avatars_have_motions_and_places_of_their_own(avatar_path, tmp_path)
     middle = columns[np.diff(columns).argmax()] + 2
     left, right = figure[:, :middle], figure[:, middle:]
     assert left.any(1).sum() > right.any(1).sum() > 20  # the farther one is smaller
-
-
-def test_a_click_picks_and_its_joint_is_named(avatar_path, tmp_path, monkeypatch):
-    """Without panels the name is in the line of text; a drag picks nothing, a click beside lets go."""
-    seen, real = [], hud_panel.status
-
-    def status(parts):
-        seen.append(real(parts))
-        return seen[-1]
-
-    monkeypatch.setattr(hud_panel, "status", status)
-    screenshot(avatar_path, tmp_path / "a.png", "space home click:92:33 wait drag:80:60:90:60 wait click:3:3 wait")
-    words = [re.search(r"someone: (\w+)", text) for text in seen]
-    named = [match[1] for match in words if match]
-    assert set(named) == {"head"} and len(named) >= 6 and words[-1] is None
 
 
 def test_cameras_change_and_turn(shot):
