@@ -35,13 +35,9 @@ class Ramp(NamedTuple):
 
     def colors(self, values: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
         """Beyond the ends the end's own, NaN is ABSENT."""
-        table, known = rgb(self.stops), np.isfinite(values)
-        share = np.clip((np.where(known, values, self.low) - self.low) / (self.high - self.low), 0, 1)
-        place = share * (len(table) - 1)
-        first = np.minimum(place.astype(np.int64), len(table) - 2)
-        part = (place - first)[:, None]
-        out = (1 - part) * table[first] + part * table[first + 1]
-        out[~known] = rgb([ABSENT])
+        at = np.linspace(self.low, self.high, len(self.stops))
+        out = np.stack([np.interp(values, at, channel) for channel in rgb(self.stops).T], 1)
+        out[~np.isfinite(values)] = rgb([ABSENT])
         return np.round(out).astype(np.uint8)
 
     def legend(self, *named: tuple[str, str]) -> Legend:

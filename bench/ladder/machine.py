@@ -37,11 +37,7 @@ def commit() -> str | None:
     folder = Path(__file__).parent
     try:
         answer = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+"],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            timeout=10,
+            ["git", "describe", "--always", "--dirty=+"], cwd=folder, capture_output=True, text=True, timeout=10
         )
     except (OSError, subprocess.TimeoutExpired):
         return None

@@ -19,13 +19,7 @@ from numpy import ndarray as Array
 from avatar.gltf.avatar_file import read_avatar
 from bench.bench_command import BenchCommand
 from bench.ladder.machine import Quiet
-from bench.ladder.rung_pictures import (
-    SIZE,
-    ComparedFrame,
-    held_out_frames,
-    motion_frames,
-    rung_pictures,
-)
+from bench.ladder.rung_pictures import SIZE, ComparedFrame, held_out_frames, motion_frames, rung_pictures
 from bench.ladder.rung_scores import crop_of, mark_dominated, part_boxes, person_scores, row_of
 from bench.report.contact import save_sheet
 from bench.report.frontier.page import PagePictures, frontier_page

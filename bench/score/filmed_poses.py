@@ -27,11 +27,7 @@ from train.session import capture_digest
 
 # spread over each video
 FRAMES = {"body": 8, "hand_left": 4, "hand_right": 4}
-REGIONS = {
-    "body": ("total", "skin_beside_hair", "head"),
-    "hand_left": ("left_hand",),
-    "hand_right": ("right_hand",),
-}
+REGIONS = {"body": ("total", "skin_beside_hair", "head"), "hand_left": ("left_hand",), "hand_right": ("right_hand",)}
 
 
 class FilmedPoses(NamedTuple):

@@ -27,7 +27,6 @@ SSIM_WINDOW = 7  # pixels, scikit-image's default: uniform window
 ctypes.CDLL(nbflip.__file__).omp_set_num_threads(1)
 # pixels: twice FLIP's widest filter, feature after color
 FLIP_REACH = 21
-LPIPS_REASON = "LPIPS needs network weights under their own licence; none are shipped"
 
 
 class Score(NamedTuple):
@@ -138,12 +137,6 @@ def outline_iou(compared: ComparedPicture) -> Score | None:
     return Score(float((true & ours).sum() / max(int((true | ours).sum()), 1)))
 
 
-def lpips(truth: Float[Array, "height width 3"], image: Float[Array, "_ _ 3"]) -> Score:
-    """Learned perceptual distance (Zhang et al. 2018): not measured, because its weights are not shipped."""
-    check_images(truth, image)
-    return Score(None, LPIPS_REASON)
-
-
 def rectangle(mask: Bool[Array, "height width"]) -> tuple[slice, slice] | None:
     """Smallest rows and columns that hold the mask; None when it is empty."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
@@ -187,6 +180,7 @@ def check_images(truth: Array, image: Array) -> None:
             raise ValueError(f"{name} should lie in [0, 1], lies in [{low:g}, {high:g}]")
 
 
+NO_LPIPS = Score(None, "LPIPS needs network weights under their own licence; none are shipped")
 METRICS = (
     Metric("p2s_cm", "P2S cm", 2, "lower", of_surfaces=lambda d: d.p2s),
     Metric("back_cm", "back cm", 2, "lower", of_surfaces=lambda d: d.back),
@@ -204,7 +198,7 @@ METRICS = (
            lambda p: None if p.mask is None else checked_error(p.truth, p.image, p.mask), of_rungs=True),
     Metric("ssim", "SSIM", 3, "higher", lambda p: ssim(*p.cut()), of_rungs=True),
     Metric("flip", "FLIP", 3, "lower", lambda p: flip(*p.cut()), of_rungs=True),
-    Metric("lpips", "LPIPS", 3, "lower", lambda p: (p.perceive or lpips)(*p.cut())),
+    Metric("lpips", "LPIPS", 3, "lower", lambda p: p.perceive(*p.cut()) if p.perceive else NO_LPIPS),
 )  # fmt: skip
 PICTURE_METRICS = tuple(metric for metric in METRICS if metric.of_picture is not None)
 RUNG_METRICS = tuple(metric for metric in METRICS if metric.of_rungs)

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from avatar.skeleton import JOINTS, PARTS
 from avatar.skinning import SkinWeights
 from bench.field.posed_field import PosableSurface
-from bench.score.beside_hair import hair_faces, skin_beside_hair
 from bench.score.picture_scores import REGION_PART
 from bench.score.surface_distance import SurfaceDistance, check_same_unit, surface_distance
 from bench.score.true_mesh import TrueMesh
@@ -21,6 +21,8 @@ from geometry.sample import SurfaceSamples, stratified_samples
 
 # in every pose; a person without hair has no skin beside it
 SAMPLES = {"total": 4000, "head": 1500, "left_hand": 1000, "right_hand": 1000, "skin_beside_hair": 1000}
+# metres from hair: hair that is one sheet with the neck shows there
+BESIDE = 0.04
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,29 @@ def geometry_case(truth: TrueMesh, surface: PosableSurface, visible: Bool[np.nda
         if ours.any():
             on_surface[region] = stratified_samples(surface.vertices, faces, count, seed=2 * number + 1, weight=ours)
     return GeometryCase(truth, truth_faces, surface, faces, on_truth, on_surface)
+
+
+def hair_faces(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
+    """True faces that are hair: at least two of their corners are."""
+    return truth.hair[truth.faces].sum(1) >= 2
+
+
+def skin_beside_hair(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
+    """True visible faces of head and neck within BESIDE of visible hair, hair apart; canonical pose."""
+    middle = truth.canonical()[truth.faces].mean(1)
+    hair = hair_faces(truth)
+    chosen = truth.visible & ~hair & _head_or_neck(truth)
+    if not (hair & truth.visible).any() or not chosen.any():
+        return np.zeros(len(truth.faces), bool)
+    away = KDTree(middle[hair & truth.visible]).query(middle[chosen])[0]
+    chosen[chosen] = away < BESIDE
+    return chosen
+
+
+def _head_or_neck(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
+    bones = [JOINTS.index("neck"), JOINTS.index("head")]
+    own = (truth.part == PARTS.index("head")) | np.isin(truth.skin.heaviest, bones)
+    return own[truth.faces].any(1)
 
 
 class PoseDistances(NamedTuple):

@@ -2,7 +2,7 @@
 
 Pictures as bench/score/picture_scores.py says; geometry as P2S and Chamfer in centimetres between posed surfaces,
 visible surface only, without alignment. Beside them: the subject's own rig weights in place of ours (what is
-left is learning, the difference is skinning), ICP-aligned as the paper's code does, T-pose, canonical, hair, and the
+left is learning, the difference is skinning), ICP-aligned as the paper's code does, T-pose, canonical, and the
 template before training (0 steps). What the reconstruction was given stands as "input"; the poses of an estimated
 skeleton are fitted to each held-out picture (bench/score/fitted_poses.py).
 """
@@ -22,7 +22,6 @@ from bench.field.drawer import Drawer
 from bench.field.posed_field import PosableSurface, one_thread
 from bench.ladder.machine import machine
 from bench.report.writer import Json
-from bench.score.beside_hair import edges_at_hair, skin_to_surface, stretched_edges
 from bench.score.filmed_poses import FilmedPoses, filmed_poses
 from bench.score.fitted_poses import fitted_views
 from bench.score.landmarks import face_landmarks_mm
@@ -30,15 +29,7 @@ from bench.score.lpips import read_perceptual
 from bench.score.metrics import Perceive
 from bench.score.outlines import SIDES, outline_scores
 from bench.score.picture_scores import NO_EYES, PictureJudge, is_t_pose, score_images
-from bench.score.pose_distances import (
-    BESIDE,
-    JudgedSurfaces,
-    Placement,
-    Rows,
-    fitted_poses,
-    measure_poses,
-    same_poses,
-)
+from bench.score.pose_distances import BESIDE, JudgedSurfaces, Placement, Rows, fitted_poses, measure_poses, same_poses
 from bench.score.posed_geometry import (
     Distances,
     GeometryCase,
@@ -226,35 +217,29 @@ def held_out_rows(what: Evaluated, surfaces: JudgedSurfaces, name: str) -> tuple
     rows: Json = {name: {"eyes": without_eyes(NO_EYES)} | regions_of(distances["ours"], images.scored)}
     if not novel:
         return rows, {}
-    beside = beside_novel_poses(what, surfaces, distances, placements, own_moving)
+    beside = beside_novel_poses(what, surfaces, distances, placements)
     if images.t_pose:
         beside["t_pose_frames"] = regions_of({}, images.t_pose)
     return rows, beside
 
 
-def beside_novel_poses(
-    what: Evaluated, surfaces: JudgedSurfaces, distances: Rows, placements: list[Placement], poses: list[HeldOutView]
-) -> Json:
-    """Novel poses after alignment, of the template before training and under the rig's weights; joints of fitted poses;
-    hair in the `poses` in which ours was drawn."""
-    truth, surface = what.truth, what.drawer.surface
+def beside_novel_poses(what: Evaluated, surfaces: JudgedSurfaces, distances: Rows, placements: list[Placement]) -> Json:
+    """Novel poses after alignment, of the template before training and under the rig's weights; joints of fitted
+    poses."""
     out: Json = {
         "zero_steps": None,
         "own_weights": None,
         **{name: regions_of(found) for name, found in distances.items() if name != "ours"},
         "zero_steps_reason": "a template has no colors before training: no pictures",
         "poses": len(placements),
-        "stretched_at_hair": stretched_at_hair(truth, surface, poses),
     }
     if surfaces.template is None:
         out["zero_steps_reason"] = "the avatar file holds no template; give --run"
     if what.ours is not None and what.template is not None:
         seen = [(p.truth, own) for p in placements for part, own in p.ours.items() if "total" in part]
         ours, true = [own for _, own in seen], [view for view, _ in seen]
-        posed = posed_skeletons(ours, true, what.template.joints, truth.joints)
+        posed = posed_skeletons(ours, true, what.template.joints, what.truth.joints)
         out["fitted"] = {"total": round(joints_off(posed, LIMBS, aligned=False), 3)}
-    away = skin_to_surface(truth, surface.vertices, surface.faces) if what.ours is None else None
-    out["skin_beside_hair_to_surface_cm"] = None if away is None else round(100 * away, 4)
     return out
 
 
@@ -289,16 +274,6 @@ def in_filmed_skeletons(videos: FilmedPoses, joints: np.ndarray, true_joints: np
         hands = [measure(posed[part], which[first:]) for part, which in HANDS.items()]
         out[name] = {"total": round(measure(posed["body"], of_body), 3), "hands": round(float(np.mean(hands)), 3)}
     return out
-
-
-def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[HeldOutView]) -> dict[str, int] | None:
-    """Edges of the reconstruction at hair, and how many of them a pose stretches to more than twice their length;
-    None: there is no hair."""
-    edges = edges_at_hair(truth, surface.vertices, surface.faces)
-    if not len(edges):
-        return None
-    posed = (surface.posed(view.axis_angle, view.root) for view in poses)
-    return {"edges": len(edges), "stretched": stretched_edges(edges, surface.vertices, posed)}
 
 
 def standing_rows(what: JudgedSurfaces, raster: Rasteriser, template: CaptureSubject | None) -> Json:

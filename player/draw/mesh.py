@@ -30,8 +30,8 @@ def view_interleaved(level: Level) -> np.ndarray:
 
 def draw_order(
     positions: Float[np.ndarray, "vertices 3"], faces: UInt32[np.ndarray, "faces 3"]
-) -> tuple[Int[np.ndarray, "vertices"], UInt32[np.ndarray, "faces 3"]]:
-    """Faces along a Morton curve, vertices in the order of their first use: (order of vertices, renumbered faces).
+) -> tuple[Int[np.ndarray, "used"], UInt32[np.ndarray, "faces 3"]]:
+    """Faces along a Morton curve, vertices in the order of their first use, if any: (order, renumbered faces).
 
     A software rasteriser shades vertices anew for each run of some 340 faces; neighbours in one run share them
     (26,756 faces of the built-in body: 19,000 vertices shaded instead of 25,800, 78,000 at random).

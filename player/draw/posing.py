@@ -120,11 +120,11 @@ def posed_vertices(avatar: Avatar, level: Level, pose: Sequence[np.ndarray]) -> 
 
 
 def grounded(
-    avatar: Avatar, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], ground: float | int = 0.0
+    avatar: Avatar, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
     """The root moved up or down so that the lowest point touches the ground; metres.
 
     Taken from a coarse level, of 3,000 triangles in a baked avatar: soles of 1,000 lie 3 mm higher.
     """
     lowest = float(posed_vertices(avatar, avatar.level(2), (axis_angle, np.zeros(3)))[:, 1].min())
-    return np.array([root[0], ground - lowest, root[2]])
+    return np.array([root[0], -lowest, root[2]])

@@ -25,7 +25,7 @@ from avatar.motion.clip import Clip, Motion
 from avatar.skeleton import JOINTS, joint_transforms
 from player.draw.drawing import Pose
 from player.effects.foot_lock import FootLock
-from player.pose.ik import LIMBS, reach_for
+from player.pose.ik import LIMBS, reach_for, smoothstep
 
 LEGS = ("left_foot", "right_foot")
 TOES = [JOINTS.index(leg) for leg in LEGS]
@@ -182,13 +182,7 @@ def offset(steps: Steps, frame: int, toe: Float[Array, "3"], release: float) -> 
     gap = steps.start[last + 1] - steps.stop[last] if 0 <= last < len(steps.start) - 1 else np.inf
     over = min(release, gap)
     if last >= 0:
-        out += _fading((frame - steps.stop[last]) / over) * steps.last[last]
+        out += (1 - smoothstep((frame - steps.stop[last]) / over)) * steps.last[last]
     if last + 1 < len(steps.start):
-        out += _fading((steps.start[last + 1] - frame) / over) * steps.first[last + 1]
+        out += (1 - smoothstep((steps.start[last + 1] - frame) / over)) * steps.first[last + 1]
     return out
-
-
-def _fading(t: float) -> float:
-    """From 1 at 0 to 0 at 1, flat at both ends."""
-    t = min(max(float(t), 0.0), 1.0)
-    return 1.0 - t * t * (3.0 - 2.0 * t)

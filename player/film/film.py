@@ -60,8 +60,6 @@ class Film:
         quality: str = "good",
         pieces: Sequence[tuple[Path, int]] = (),
     ):
-        if not (np.isfinite(rate) and rate > 0):
-            raise ValueError(f"rate should be positive frames per second, is {rate}")
         self.path, self.kind, self.rate, self.transparent = Path(path), film_kind(path), rate, transparent
         self.quality, self.pieces = quality, pieces
         self.frames = 0

@@ -136,6 +136,4 @@ def build_bundle(elements: Sequence[bytes]) -> bytes:
 
 def _padded(text: str) -> bytes:
     data = text.encode("utf-8")
-    if b"\0" in data:
-        raise ValueError(f"an OSC string holds no zero byte: {text!r}")
     return data + b"\0" * (4 - len(data) % 4)

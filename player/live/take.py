@@ -8,7 +8,6 @@ import os
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -146,7 +145,8 @@ def even_motion(records: np.ndarray, pelvis_height: float | None, name: str) -> 
     """Recorded frames at an even rate: the usual one nearest to the median step, else that step's own.
 
     Each frame goes to its nearest tick and keeps its pose to the bit; of two on one tick the later stays; ticks
-    without a frame are filled on the shorter arc. Where there would be more than MOST_FRAMES, the rate is lower.
+    without a frame are filled on the shorter arc, faces, which rest where there is none, straight. Where there
+    would be more than MOST_FRAMES, the rate is lower.
     """
     steps = np.minimum(np.maximum(np.diff(records["time"]), 0.0), LONGEST_PAUSE)
     seconds = np.concatenate([[0.0], np.cumsum(steps)])
@@ -160,13 +160,29 @@ def even_motion(records: np.ndarray, pelvis_height: float | None, name: str) -> 
     ticks = ticks[last] - ticks[last[0]]
 
     def block(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        return poses_at_ticks(ticks, lambda chosen: records["pose"][last[chosen]].astype(np.float64), start, stop)
+        before, after, part = neighbours(ticks, start, stop)
+        a, b = (records["pose"][last[chosen]].astype(np.float64) for chosen in (before, after))
+        turned = between(a[:, :52], b[:, :52], np.repeat(part[:, None], 52, 1))
+        return np.where(part[:, None, None] > 0, turned, a[:, :52]), a[:, 52] + part[:, None] * (b - a)[:, 52]
 
     def faces(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        return faces_at_ticks(ticks, lambda chosen: records["face"][last[chosen]], start, stop)
+        before, after, part = neighbours(ticks, start, stop)
+        a, b = (np.nan_to_num(records["face"][last[chosen]].astype(np.float64)) for chosen in (before, after))
+        out = a + part[:, None] * (b - a)
+        return out[:, :52], out[:, 52:].reshape(-1, 2, 2)
 
     some = any(np.isfinite(records["face"][k : k + BLOCK, 0]).any() for k in range(0, len(records), BLOCK))
     return Motion(name, int(ticks[-1]) + 1, rate, notes, block, pelvis_height, faces=faces if some else None)
+
+
+def neighbours(
+    ticks: Int[np.ndarray, "frames"], start: int, stop: int
+) -> tuple[Int[np.ndarray, "ticks"], Int[np.ndarray, "ticks"], Float[np.ndarray, "ticks"]]:
+    """Between which frames the ticks start .. stop - 1 lie, and which part of the way: 0 on a frame's own tick."""
+    wanted = np.arange(start, stop)
+    after = np.searchsorted(ticks, wanted)
+    before = np.where(ticks[after] == wanted, after, after - 1)
+    return before, after, (wanted - ticks[before]) / np.maximum(ticks[after] - ticks[before], 1)
 
 
 def even_rate(steps: Float[np.ndarray, "steps"]) -> float:
@@ -177,43 +193,6 @@ def even_rate(steps: Float[np.ndarray, "steps"]) -> float:
     rate = min(1 / float(np.median(steps)), FASTEST)
     nearest = min(USUAL_RATES, key=lambda usual: abs(usual - rate))
     return float(nearest) if abs(nearest - rate) < 0.02 * nearest else rate
-
-
-def poses_at_ticks(
-    ticks: Int[np.ndarray, "frames"], poses: Callable[[np.ndarray], Any], start: int, stop: int
-) -> tuple[Float[np.ndarray, "ticks 52 3"], Float[np.ndarray, "ticks 3"]]:
-    """Poses on the ticks start .. stop - 1: those of a frame as they are, the others between their neighbours.
-
-    `poses` gives the poses (chosen, 53, 3) of frames by their numbers.
-    """
-    wanted = np.arange(start, stop)
-    after = np.searchsorted(ticks, wanted)
-    out = poses(after)
-    missing = ticks[after] != wanted
-    if missing.any():
-        b = after[missing]
-        a = b - 1
-        part = (wanted[missing] - ticks[a]) / (ticks[b] - ticks[a])
-        before, behind = poses(a), poses(b)
-        out[missing, :52] = between(before[:, :52], behind[:, :52], np.repeat(part[:, None], 52, 1))
-        out[missing, 52] = before[:, 52] + part[:, None] * (behind[:, 52] - before[:, 52])
-    return out[:, :52], out[:, 52]
-
-
-def faces_at_ticks(
-    ticks: Int[np.ndarray, "frames"], faces: Callable[[np.ndarray], np.ndarray], start: int, stop: int
-) -> tuple[Float[np.ndarray, "ticks 52"], Float[np.ndarray, "ticks 2 2"]]:
-    """Weights and gaze on the ticks start .. stop - 1, those between frames straight; at rest where there is none.
-
-    `faces` gives the numbers (chosen, 56) of frames by their numbers.
-    """
-    wanted = np.arange(start, stop)
-    after = np.searchsorted(ticks, wanted)
-    before = np.where(ticks[after] == wanted, after, after - 1)
-    part = (wanted - ticks[before]) / np.maximum(ticks[after] - ticks[before], 1)
-    a, b = (np.nan_to_num(faces(chosen).astype(np.float64)) for chosen in (before, after))
-    out = a + part[:, None] * (b - a)
-    return out[:, :52], out[:, 52:].reshape(-1, 2, 2)
 
 
 def _signed(row: np.ndarray) -> bytes:

@@ -75,10 +75,8 @@ def reach_for(
     to where the limb points now, the way round is not unique and the answer jumps.
 
     Raises:
-        ValueError: no such limb, or a number that is not finite.
+        ValueError: a number that is not finite, or a bone of no length.
     """
-    if limb not in LIMBS:
-        raise ValueError(f"no limb {limb!r}; there are {', '.join(LIMBS)}")
     if not np.isfinite(target).all() or not (pole is None or np.isfinite(pole).all()):
         raise ValueError(f"target {target} and pole {pole} should be finite")
     first, middle, last, straight_pole = LIMBS[limb]
@@ -107,7 +105,7 @@ def reach_for(
     new_hinge = _turned(carried, hinge)
     if pole is None:
         new_bend = np.arccos(np.clip((d * d - a * a - b * b) / (2 * a * b), -1, 1))
-        towards = _smoothstep((new_bend - bend) / (BENT - STRAIGHT))
+        towards = smoothstep((new_bend - bend) / (BENT - STRAIGHT))
         turn = towards * np.arctan2(_dot(np.cross(present, hinge), line), _dot(present, hinge))
         pole = np.cos(turn) * present + np.sin(turn) * np.cross(line, present)
         pole = _across(_turned(carried, pole), aim, new_hinge)
@@ -136,12 +134,13 @@ def _hinge_side(
 
     bend: the angle at the middle joint, 0 when straight.
     """
-    share = _smoothstep((bend - STRAIGHT) / (BENT - STRAIGHT))
+    share = smoothstep((bend - STRAIGHT) / (BENT - STRAIGHT))
     anatomical = _across(straight, line, present)
     return _across(share * present + (1 - share) * anatomical, line, anatomical)
 
 
-def _smoothstep(t: Float[Array, "*poses 1"]) -> Float[Array, "*poses 1"]:
+def smoothstep(t: Float[Array, "*poses 1"] | float) -> Float[Array, "*poses 1"] | float:
+    """From 0 at 0 to 1 at 1, flat at both ends."""
     t = np.clip(t, 0.0, 1.0)
     return t * t * (3 - 2 * t)
 

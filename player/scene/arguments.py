@@ -139,9 +139,7 @@ def with_effects(effects: Effects, asked: Mapping[str, Any]) -> Effects:
     return replace(effects, **{name: value for name, value in asked.items() if name not in set_up})
 
 
-def with_options(
-    scene: Scene, effects: Effects, size: tuple[int, int] | None, background: Background | None
-) -> Scene:
+def with_options(scene: Scene, effects: Effects, size: tuple[int, int] | None, background: Background | None) -> Scene:
     """The scene with what a command says over it; a None is left to the scene."""
     return replace(scene, effects=effects, size=size or scene.size, background=background or scene.background)
 

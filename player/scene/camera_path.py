@@ -78,10 +78,8 @@ class CameraPath:
         )  # fmt: skip
 
     @staticmethod
-    def through(
-        seconds: Sequence[float], cameras: Sequence[Camera], distances: Sequence[float] | float = 3.0
-    ) -> "CameraPath":
-        """The path through cameras at increasing times; each looks at a point so many metres before it.
+    def through(seconds: Sequence[float], cameras: Sequence[Camera]) -> "CameraPath":
+        """The path through cameras at increasing times; each looks at a point 3 metres before it.
 
         Raises:
             ValueError: no cameras, or times that do not grow.
@@ -89,8 +87,7 @@ class CameraPath:
         times = np.asarray(seconds, np.float64)
         if not (len(times) == len(cameras) > 0 and (np.diff(times) > 0).all()):
             raise ValueError(f"{len(cameras)} cameras need as many growing times, are {times.tolist()}")
-        ahead = np.broadcast_to(np.asarray(distances, np.float64), len(times))
-        return CameraPath(times, np.stack([key_of(camera, float(d)) for camera, d in zip(cameras, ahead, strict=True)]))
+        return CameraPath(times, np.stack([key_of(camera) for camera in cameras]))
 
     @staticmethod
     def read(path: Path | str) -> "CameraPath":
@@ -154,8 +151,8 @@ def slopes_at(times: Float[Array, "keys"], values: Float[Array, "keys numbers"])
     return np.gradient(values, times, axis=0, edge_order=2)
 
 
-def key_of(camera: Camera, distance: float) -> Key:
-    """The numbers of a camera, its target `distance` metres ahead; lens distortion is left out, as in drawing."""
+def key_of(camera: Camera) -> Key:
+    """The numbers of a camera, its target 3 metres ahead; lens distortion is left out, as in drawing."""
     R, height = camera.camera_from_world[:3, :3], camera.size[1]
     fx, skew, cx = camera.K[0]
     _, fy, cy = camera.K[1]
@@ -163,7 +160,7 @@ def key_of(camera: Camera, distance: float) -> Key:
         math.log(fx / height), math.log(fy / height), skew / height,
         (cx - 0.5 * camera.size[0]) / height, (cy - 0.5 * height) / height,
     ]  # fmt: skip
-    return np.concatenate([camera.eye, camera.eye + distance * R[2], -R[1], lens])
+    return np.concatenate([camera.eye, camera.eye + 3.0 * R[2], -R[1], lens])
 
 
 def camera_of(key: Key, size: tuple[int, int]) -> Camera:
@@ -176,7 +173,7 @@ def camera_of(key: Key, size: tuple[int, int]) -> Camera:
 
 def _read_key(place: str, key: dict[str, object]) -> Key:
     if "camera_from_world" in key or "K" in key:
-        return key_of(camera_from_json(place, key), 3.0)
+        return key_of(camera_from_json(place, key))
     own = {name: value for name, value in key.items() if name != "t"}
     try:
         view = record_of(_EyeKey, own, SettingsSource(), shown="a key")

@@ -38,14 +38,10 @@ def facing(axis_angle: Float[Array, "52 3"], joints: Float[Array, "52 3"]) -> fl
     return float(np.arctan2(forward[0], forward[2]))
 
 
-def extent(avatar: Avatar, clip: Clip, *, following: bool = False, samples: int = 48) -> Float[Array, "points 3"]:
-    """World points whose view holds the avatar, hair and shoes too, in (about `samples`) frames of the clip.
-
-    following: the points as seen by a camera that goes along with the pelvis, over the ground.
-    """
-    chosen = evenly(len(clip.root), samples)
-    root = clip.root[chosen] * ([0.0, 1.0, 0.0] if following else [1.0, 1.0, 1.0])
-    points = posed_hull(hull_of(avatar), clip.axis_angle[chosen], root).reshape(-1, 3)
+def extent(avatar: Avatar, clip: Clip) -> Float[Array, "points 3"]:
+    """World points whose view holds the avatar, hair and shoes too, in (about 48) frames of the clip."""
+    chosen = evenly(len(clip.root), 48)
+    points = posed_hull(hull_of(avatar), clip.axis_angle[chosen], clip.root[chosen]).reshape(-1, 3)
     return points[outermost(points)]
 
 
@@ -82,12 +78,11 @@ def fitted(
 
 
 def fitted_camera(
-    points: Float[Array, "points 3"], azimuth: float, size: tuple[int, int], *, elevation: float = ELEVATION,
-    fov: float = FOV,
-) -> Camera:  # fmt: skip
+    points: Float[Array, "points 3"], azimuth: float, size: tuple[int, int], *, elevation: float = ELEVATION
+) -> Camera:
     """The camera of `fitted`."""
-    view = fitted(points, azimuth, size, elevation=elevation, fov=fov)
-    return orbit_camera(view.target, view.distance, azimuth, elevation, size, fov)
+    view = fitted(points, azimuth, size, elevation=elevation)
+    return orbit_camera(view.target, view.distance, azimuth, elevation, size, FOV)
 
 
 def fitted_round(points: Float[Array, "points 3"], size: tuple[int, int], *, fov: float = FOV) -> Fitted:

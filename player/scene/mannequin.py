@@ -11,13 +11,13 @@ from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from avatar.skinning import skin_points
 
 
-def mannequin(sex: str = "male", *, texture: int = 512, seed: int = 0) -> Avatar:
+def mannequin(sex: str = "male", *, texture: int = 512) -> Avatar:
     """The built-in body, painted with a checkered gradient; its view network is random (seeded),
     its cone 20 degrees.
     """
     body = builtin_body(sex)
     assert body.uv is not None and body.uv_faces is not None
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     corners = np.stack([body.faces.reshape(-1), body.uv_faces.reshape(-1)], 1)
     split, number = np.unique(corners, axis=0, return_inverse=True)
     vertex, texcoord = split.T
@@ -61,9 +61,11 @@ WORN = {
 }
 # metres above the middle of the head, along a line that leans back, from which on there is hair
 HAIRLINE = 0.05
+# texels
+SIDE = 1024
 
 
-def clothed(sex: str = "male", *, texture: int = 1024) -> Avatar:
+def clothed(sex: str) -> Avatar:
     """The built-in body in plain clothes, as example scenes show it: each triangle painted by the joint that moves it,
     a little darker where it faces down."""
     body = mannequin(sex)
@@ -75,9 +77,9 @@ def clothed(sex: str = "male", *, texture: int = 1024) -> Avatar:
     above = level.positions - level.positions[heaviest == JOINTS.index("head")].mean(0)
     paint[(heaviest == JOINTS.index("head")) & (above[:, 1] - 0.8 * above[:, 2] > HAIRLINE)] = colors["hair"]
     paint *= (0.88 + 0.12 * level.normals[:, 1] + 0.04 * level.normals[:, 2])[:, None]
-    image = Image.new("RGB", (texture, texture), colors["skin"])
+    image = Image.new("RGB", (SIDE, SIDE), colors["skin"])
     draw = ImageDraw.Draw(image)
-    corners = (level.uv * texture)[level.faces]
+    corners = (level.uv * SIDE)[level.faces]
     tones = np.clip(paint[level.faces].mean(1), 0, 255).astype(int)
     painted = [
         ([tuple(at) for at in triangle], tuple(tone)) for triangle, tone in zip(corners.tolist(), tones.tolist())

@@ -182,9 +182,8 @@ class Renderer:
         return image
 
     def draw_into(
-        self, framebuffer: moderngl.Framebuffer, poses: Sequence[GivenPose], camera: Camera, *,
-        seconds: float = 0.0,
-    ) -> None:  # fmt: skip
+        self, framebuffer: moderngl.Framebuffer, poses: Sequence[GivenPose], camera: Camera, *, seconds: float = 0.0
+    ) -> None:
         """The same into another framebuffer, whose rows count from the bottom; nothing is read back. The renderer's
         own image keeps its top row first, as `draw` has it.
 

@@ -160,9 +160,7 @@ def paeth(image: UInt8[np.ndarray, "height width planes"]) -> bytes:
     left, above, corner = planes[:, 1:, :-1], planes[:, :-1, 1:], planes[:, :-1, :-1]
     guess = left + above - corner
     near = np.abs(guess - left), np.abs(guess - above), np.abs(guess - corner)
-    found = np.where(
-        (near[0] <= near[1]) & (near[0] <= near[2]), left, np.where(near[1] <= near[2], above, corner)
-    )  # fmt: skip
+    found = np.where((near[0] <= near[1]) & (near[0] <= near[2]), left, np.where(near[1] <= near[2], above, corner))
     return (planes[:, 1:, 1:] - found).astype(np.uint8).tobytes()
 
 

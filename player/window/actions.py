@@ -69,10 +69,6 @@ def toggle_follow(parts: "WindowParts") -> None:
     parts.viewpoint.follow = not parts.viewpoint.follow
 
 
-def next_camera(parts: "WindowParts") -> None:
-    parts.viewpoint.cameras.next()
-
-
 def toggle_panels(parts: "WindowParts") -> None:
     parts.state.layout.panels_on = not parts.state.layout.panels_on
 
@@ -84,10 +80,6 @@ def toggle_help(parts: "WindowParts") -> None:
 def ask_for_t_pose(parts: "WindowParts") -> None:
     for live, _ in parts.state.playback.live:
         live.ask_for_t_pose()
-
-
-def toggle_list(parts: "WindowParts") -> None:
-    parts.opening.toggle()
 
 
 def show_part(joint: str, middle: str) -> Callable[["WindowParts"], None]:
@@ -127,7 +119,7 @@ LAST_FRAME = Action("go to the last frame", ("end",), timed(lambda line: line.se
 SLOWER = Action("play slower (down to 0.1 times)", ("[",), timed(lambda line: line.faster(-1)))
 FASTER = Action("play faster (up to 4 times)", ("]",), timed(lambda line: line.faster(1)))
 
-NEXT_CAMERA = Action("next camera", ("c",), next_camera)
+NEXT_CAMERA = Action("next camera", ("c",), lambda parts: parts.viewpoint.cameras.next())
 RESET_CAMERA = Action("reset the orbit: everyone, whole", ("r", "1"), lambda parts: parts.viewpoint.reset())
 FACE = Action("look at the face", ("2",), show_part("head", "head"))
 LEFT_HAND = Action("look at the left hand", ("3",), show_part("left_wrist", "left_middle1"))
@@ -146,8 +138,8 @@ VIEW = Action("view dependence on or off", ("v",), lambda parts: parts.look.togg
 POSE = Action("pose the selected avatar by hand, or stop", ("p",), lambda parts: parts.posing.toggle())
 T_POSE = Action("take the T-pose of the sender in 3 seconds", ("t",), ask_for_t_pose)
 
-OPEN = Action("open a file", ("ctrl+o",), toggle_list)
-CLOSE_LIST = Action("close the list of files", ("escape",), toggle_list, when=lambda parts: parts.opening.listed)
+OPEN = Action("open a file", ("ctrl+o",), lambda parts: parts.opening.toggle())
+CLOSE_LIST = Action("close the list of files", ("escape",), OPEN.do, when=lambda parts: parts.opening.listed)
 SAVE_SCENE = Action("save the scene, for render --scene too", ("ctrl+s",), save_scene)
 FULL_SCREEN = Action("full screen, or back", ("f11",), lambda parts: parts.state.layout.screen.toggle_full())
 LEAVE_FULL = Action(
@@ -168,22 +160,12 @@ CLOSE_HELP = Action("close the list of keys", ("escape",), toggle_help, when=lam
 
 VIDEO = KeyGroup("Source video", (WIPE_LEFT, WIPE_RIGHT), lambda parts: parts.wipe is not None)
 POSING = KeyGroup(
-    "Posing by hand",
-    (UNDO, REDO, MIRROR, TO_GROUND, GIVE_UP),
-    lambda parts: parts.posing.edit is not None,
-)  # fmt: skip
+    "Posing by hand", (UNDO, REDO, MIRROR, TO_GROUND, GIVE_UP), lambda parts: parts.posing.edit is not None
+)
 GROUPS = (
+    KeyGroup("Time", (PLAY, STEP_BACK, STEP_ON, SECOND_BACK, SECOND_ON, FIRST_FRAME, LAST_FRAME, SLOWER, FASTER)),
     KeyGroup(
-        "Time",
-        (
-            PLAY, STEP_BACK, STEP_ON, SECOND_BACK, SECOND_ON, FIRST_FRAME, LAST_FRAME, SLOWER, FASTER,
-        ),
-    ),
-    KeyGroup(
-        "Camera",
-        (
-            RESET_CAMERA, FACE, LEFT_HAND, RIGHT_HAND, NEXT_CAMERA, FOLLOW, ADD_CAMERA_KEY, SAVE_CAMERA_PATH,
-        ),
+        "Camera", (RESET_CAMERA, FACE, LEFT_HAND, RIGHT_HAND, NEXT_CAMERA, FOLLOW, ADD_CAMERA_KEY, SAVE_CAMERA_PATH)
     ),
     KeyGroup("Avatars", (NEXT_AVATAR, VIEW, POSE)),
     KeyGroup("Files", (OPEN, CLOSE_LIST, SAVE_SCENE, SCREENSHOT, FILM)),
@@ -191,7 +173,7 @@ GROUPS = (
     VIDEO,
     KeyGroup("Live", (T_POSE,), lambda parts: bool(parts.state.playback.live)),
     POSING,
-)  # fmt: skip
+)
 
 # what the mouse does, and what it does with a source video
 MOUSE = (

@@ -62,9 +62,7 @@ STONE = Ground(color=color("#a09d90"), radius=20.0, strength=0.55)
 BOARDS = Ground(color=color("#3a3436"), radius=3.0, strength=0.85, softness=3.0)
 LOOKS = {
     "Studio": Look("A grey room; people as they were filmed.", STUDIO, None, Ground()),
-    "Evening": Look(
-        "A low sun from the side and long shadows.", Background(color=color("#2a2230")), LOW_SUN, EARTH
-    ),
+    "Evening": Look("A low sun from the side and long shadows.", Background(color=color("#2a2230")), LOW_SUN, EARTH),
     "Outdoors": Look(
         "Daylight under an open sky; a panorama that was opened stays, and is the light.",
         Background(color=color("#b4cbe0")), DAYLIGHT, STONE,
@@ -97,9 +95,7 @@ CHOICES: Mapping[str, Mapping[str, object]] = {
     "outline": {"none": None, "thin": Outline(width=1.0), "usual": Outline(), "thick": Outline(width=4.0)},
     "motion_blur": {"none": None, "usual": MotionBlur(), "long": MotionBlur(shutter=1.0)},
     "depth_of_field": {"all sharp": None, "usual": DepthOfField(), "shallow": DepthOfField(lens=0.05)},
-    "secondary_motion": {
-        "stiff": None, "swing": SecondaryMotion(), "swing softly": SecondaryMotion(frequency=1.0),
-    },
+    "secondary_motion": {"stiff": None, "swing": SecondaryMotion(), "swing softly": SecondaryMotion(frequency=1.0)},
 }  # fmt: skip
 OWN = "own numbers"
 

@@ -48,9 +48,7 @@ class PictureLayer:
         assert camera is not None, "no picture was shown yet"
         width, height = camera.size
         K, d = camera.K, camera.distortion
-        uniform(self.program, "lens").value = (
-            K[0, 0] / width, K[1, 1] / height, K[0, 2] / width, K[1, 2] / height,
-        )  # fmt: skip
+        uniform(self.program, "lens").value = (K[0, 0] / width, K[1, 1] / height, K[0, 2] / width, K[1, 2] / height)
         uniform(self.program, "distortion").value = tuple(float(x) for x in d[:4])
         uniform(self.program, "more").value = (float(d[4]), K[0, 1] / width)
         self._render(box, size, (0.0, 0.0, 0.0, 0.0), under, part)

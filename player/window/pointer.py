@@ -96,11 +96,10 @@ class Pointer:
         """A button was let go, wherever."""
         if self._pressed is None or self._pressed[0] != button:
             return
-        pixel, tool = self._screen.pixel(*self.at), self._tool
-        if self._holds == "tool" and tool is not None:
-            tool.release(*pixel)
+        if self._holds == "tool" and self._tool is not None:
+            self._tool.release()
         elif self._holds == "nothing" and button == 0:
-            self.pick(*pixel)
+            self.pick(*self._screen.pixel(*self.at))
         self._pressed, self._holds = None, "nothing"
 
     def pick(self, x: float | int, y: float | int) -> Picked | None:

@@ -179,7 +179,7 @@ class PoseTool:
             pole = target - places[limb.first]
             session.reach(start, handle.name, places[limb.end], follow=self.follow, pole=pole, drag=held)
 
-    def release(self, x: float, y: float) -> None:
+    def release(self) -> None:
         """Let go; a press that did not move selects the handle's joint."""
         held, self.held = self.held, None
         if held is None:
@@ -219,7 +219,7 @@ def _places(session: PoseSession, pose: KeptPose) -> Float[Array, "52 3"]:
 
 
 def picked_joint(
-    places: Float[Array, "joints 3"], camera: Camera, pixel: Float[Array, "2"], near_enough: float | int = 14.0
+    places: Float[Array, "joints 3"], camera: Camera, pixel: Float[Array, "2"], near_enough: float
 ) -> int | None:
     """The joint under the pointer: of those within `near_enough` pixels the nearest on the screen, then to the eye."""
     pixels, depth = project(camera, places)

@@ -15,7 +15,7 @@ from bench.score.picture_scores import box_pixels, is_t_pose, region_of
 from bench.score.quality import evaluate
 from bench.score.quality_table import view_mode_lines
 from bench.score.true_mesh import read_true_mesh
-from bench.score.view_modes import view_modes
+from bench.score.view_modes import better_mode, view_modes
 from capture.held_out import read_held_out
 from command.errors import AssetError
 from experiments.ceiling import ceiling_surface
@@ -91,6 +91,20 @@ def test_a_view_mode_farther_from_the_truth_loses(oracle):
     lines = view_mode_lines({"view_modes": found})
     assert any(line.startswith("- novel pose, vertex: total") for line in lines)
     assert lines[-1].startswith("- default linear; best here off (nearest to the true pictures: off")
+
+
+@pytest.mark.parametrize(
+    "scores, mode",
+    [
+        ({"off": 24.0, "network": 24.004}, "off"),  # nobody can tell them apart: the simpler one
+        ({"off": 24.0, "network": 24.02}, "network"),
+        ({"off": 24.0, "linear": 24.5, "network": 24.503, "vertex": 30.0}, "linear"),
+        ({"off": 24.3, "linear": 24.0, "network": 23.9}, "off"),
+        ({"off": None}, "off"),
+    ],
+)
+def test_the_best_mode_wins_and_a_simpler_one_ties(scores, mode):
+    assert better_mode(scores)[0] == mode
 
 
 def test_the_command_prints_a_table_and_writes_json(oracle, tmp_path, capsys, result, monkeypatch):

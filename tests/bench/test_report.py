@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from avatar.gltf.avatar_file import read_avatar
 from bench.bench_command import bench_main
 from bench.ladder.rung_pictures import motion_frames
 from bench.ladder.rung_scores import mark_dominated, median_interval, part_boxes
 from bench.report.contact import LARGEST, WIDTH, contact_sheet, fitting_font, save_sheet, sheet
 from bench.report.rung_page import frontier_of, label_heights, points_of, trade_sentence
-from player.budget.ladder import rungs_of, views_of
+from player.budget.ladder import rungs_of
 from player.budget.rung import shown, with_halved_textures
 from player.scene.mannequin import mannequin
 
@@ -108,20 +107,6 @@ def test_head_and_hands_are_where_they_are_drawn():
     assert head[0].stop < 160 and head[0].stop - head[0].start < 70
     # the person faces us: the left hand is on the right
     assert right[1].start < head[1].start < left[1].stop
-
-
-def test_the_ladder_offers_only_what_the_file_holds(oracle):
-    avatar = read_avatar(oracle[1])
-    side = min(avatar.levels[0].base_color.shape[:2])
-    rungs = rungs_of(avatar)
-    assert views_of(avatar) == ["off"] and {(r.view, r.level) for r in rungs} == {("off", 0)}
-    shares, halvings = [r.share for r in rungs], [r.halvings for r in rungs]
-    most = avatar.levels[0].influences
-    smaller, fewer = [n for n in (1, 2, 3) if side >> n >= 64], [k for k in (2, 1) if k < most]
-    assert [share for share in shares if share < 1] == [0.75, 0.5, 0.25, *[0.25] * bool(smaller)]
-    assert [share for share in shares if share > 1] == [4, 2]
-    assert halvings == [0, *smaller, *[0] * len(fewer), 0, 0, 0, *smaller[-1:], 0, 0]
-    assert [r.joints for r in rungs if r.joints < 4] == [*fewer, *fewer[-1:] * bool(smaller)]
 
 
 def test_modes_levels_textures_and_resolutions_are_rungs_and_a_level_without_features_one_of_paper_alone():

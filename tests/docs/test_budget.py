@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 11_735,
     "train": 5_456,
     "bake": 5_862,
-    "player": 20_285,
+    "player": 20_206,
     "shaders": 1_005,
     "synth": 3_840,
-    "bench": 5_587,
+    "bench": 5_476,
     "selfscan": 432,
-    "tests": 36_125,
+    "tests": 35_444,
 }
 
 

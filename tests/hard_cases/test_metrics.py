@@ -6,7 +6,7 @@ import trimesh
 from mesh_distance import mesh_distance
 
 from avatar.psnr import PooledError, error_between, pooled
-from bench.score.metrics import checked_error, flip, lpips, pooled_score, psnr_score, rectangle, ssim
+from bench.score.metrics import checked_error, flip, pooled_score, psnr_score, rectangle, ssim
 from geometry.closest import closest_points, triangle_index
 from geometry.icp import rigid_icp
 from geometry.sample import stratified_samples
@@ -80,11 +80,6 @@ def test_images_smaller_than_the_ssim_window_use_a_smaller_one_or_say_why_not(si
     else:
         assert 0 < score.value < 1
     assert np.isfinite(flip(small, 1 - small).value)
-
-
-def test_lpips_is_absent_with_its_reason():
-    score = lpips(IMAGE, IMAGE)
-    assert score.value is None and "weights" in score.reason
 
 
 @pytest.mark.parametrize("bad, message", [(np.nan, "not finite"), (255.0, r"\[0, 1\]"), (-1.0, r"\[0, 1\]")])

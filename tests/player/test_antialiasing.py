@@ -14,7 +14,7 @@ from player.draw.posing import Poser, posed_vertices, screen_bounds
 from player.effects import antialiasing as fxaa_pass
 from player.effects.background import Background
 from player.effects.outline import Outline
-from player.gl.tiles import TILE, Patches, covered, rectangles
+from player.gl.tiles import TILE, Patches, covered
 from player.scene.effects import Effects
 
 SIZE = (180, 200)
@@ -146,18 +146,5 @@ def test_patches_and_bounds_hold_every_vertex_in_any_pose(avatar, dual):
         bounds = screen_bounds(bones, CAMERA)
         assert bounds.depth[0] <= depth.min() and depth.max() <= bounds.depth[1]
         assert (pixels >= bounds.box[:2]).all() and (pixels <= bounds.box[2:]).all()
-
-
-def test_tiles_become_rectangles_that_hold_each_pixel_once():
-    rng = np.random.default_rng(3)
-    for size in ((100, 70), (16, 16), (1, 1), (33, 17)):
-        shape = -(-size[1] // TILE), -(-size[0] // TILE)
-        tiles = rng.random(shape) < 0.5
-        for flipped in (True, False):
-            count = np.zeros(size[::-1], int)
-            for left, low, right, high in rectangles(tiles, size, flipped=flipped).tolist():
-                count[low:high, left:right] += 1
-            expected = np.kron(tiles, np.ones((TILE, TILE), int))[: size[1], : size[0]]
-            assert np.array_equal(count, expected if flipped else expected[::-1])
     nowhere = np.array([[-np.inf, -np.inf, np.inf, np.inf], [50.0, -90.0, 60.0, -80.0]])
     assert covered(nowhere[:1], (40, 40), 2).all() and not covered(nowhere[1:], (40, 40), 2).any()

@@ -141,8 +141,6 @@ def test_at_its_limits_a_limb_stays_finite_and_bad_questions_are_refused():
                 again = reach_for(out, root, joints, limb, target)
                 np.testing.assert_allclose(places(again, root, joints), moved, atol=1e-5)
     joints, root, pose = BODIES[0], np.zeros(3), np.zeros((52, 3))
-    with pytest.raises(ValueError, match="no limb 'tail'"):
-        reach_for(pose, root, joints, "tail", root)
     with pytest.raises(ValueError, match="finite"):
         reach_for(pose, root, joints, "left_hand", np.array([np.nan, 0, 0]))
     short = joints.copy()

@@ -1,8 +1,5 @@
 """One table of keys: what keys do, the help, the tooltips and the documentation all come from it."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import pytest
 
 from command.command_line import parser_of
@@ -46,29 +43,3 @@ def test_the_command_line_names_every_key():
             assert f"{keys} " in text and means in text
     assert {"p", "m", "n", "Ctrl+Z"} <= {keys for group in GROUPS for keys, _ in rows(group)}
     assert max(map(len, command_line_help().splitlines())) <= 112
-
-
-def test_modes_go_before_what_keys_mean_elsewhere():
-    """Escape quits unless a drag can be given up."""
-
-    def parts(held=None, posing=False, help_on=False, listed=False, full=False) -> Any:
-        edit = SimpleNamespace(tool=SimpleNamespace(held=held)) if posing else None
-        return SimpleNamespace(
-            posing=SimpleNamespace(edit=edit),
-            wipe=None,
-            opening=SimpleNamespace(listed=listed),
-            state=SimpleNamespace(
-                playback=SimpleNamespace(live=[]),
-                layout=SimpleNamespace(help_on=help_on, screen=SimpleNamespace(full=full)),
-            ),
-        )
-
-    assert actions.found("c", parts()) is actions.NEXT_CAMERA
-    assert actions.found("escape", parts()) is actions.QUIT
-    assert actions.found("escape", parts(help_on=True, full=True)) is actions.CLOSE_HELP
-    assert actions.found("escape", parts(listed=True, full=True)) is actions.CLOSE_LIST
-    assert actions.found("escape", parts(full=True)) is actions.LEAVE_FULL
-    assert actions.found("escape", parts(posing=True)) is actions.QUIT
-    assert actions.found("escape", parts(posing=True, held=1)) is actions.GIVE_UP
-    assert actions.found("ctrl+z", parts()) is None and actions.found("ctrl+z", parts(posing=True)) is actions.UNDO
-    assert actions.found("t", parts()) is None

@@ -137,17 +137,6 @@ def test_a_gif_in_parts_is_the_gif_in_one_go(arguments, tmp_path):
     assert len(decoded(tmp_path / "a.gif")) > 40  # equal neighbours may be one
 
 
-def test_films_of_neighbouring_frames_join_to_the_film_of_all(arguments, tmp_path):
-    """With a camera that does not depend on the range; the ranges meet where parts do."""
-    write_camera(tmp_path / "camera.json", orbit_camera((0, 1, 0), 3.0, 0.2, 0.0, (49, 48)))
-    base = [*arguments[:3], "--camera", str(tmp_path / "camera.json")]
-    for name, frames in (("a.mp4", "5:20"), ("b.mp4", "20:55"), ("all.mp4", "5:55")):
-        render_main([*base, "--frames", frames, "-o", str(tmp_path / name)])
-    pieces = [(tmp_path / "a.mp4", 15), (tmp_path / "b.mp4", 35)]
-    join_pieces(pieces, tmp_path / "joined.mp4", 30.0)
-    assert decoded(tmp_path / "joined.mp4") == decoded(tmp_path / "all.mp4")
-
-
 @pytest.mark.parametrize("name", ["film.webm", "film.mov"])
 def test_transparent_films_are_joined_with_their_alpha(arguments, tmp_path, name):
     render_main([*arguments, "--background", "transparent", "-o", str(tmp_path / name)])

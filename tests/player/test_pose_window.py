@@ -133,7 +133,7 @@ def test_rings_turn_about_the_axes_of_the_joint_or_of_the_world(opened, joint):
     # ImGuizmo knows right-handed axes only
     assert np.linalg.det(axes) == pytest.approx(1)
     edit.tool.turn(matrix_from_axis_angle(axes[:, 2] * 0.2) @ axes)
-    edit.tool.release(0.0, 0.0)
+    edit.tool.release()
     change = joint_angles(session.pose.axis_angle)[J[joint]] - start
     np.testing.assert_allclose(np.abs(change), [0, 0, 0.2], atol=1e-9)
     edit.tool.frame = "world"
@@ -242,10 +242,6 @@ def test_a_pose_is_kept_in_the_library_and_taken_from_it(opened, tmp_path):
     assert not session.pose.same(wanted)
     edit.take("Arm up")
     assert session.pose.same(wanted)
-    (kept.parent / "broken.npz").write_bytes(b"nothing")
-    before = session.pose
-    edit.tried(lambda: edit.take("broken"))
-    assert session.pose is before and "broken.npz" in window.parts.state.messages.last
 
 
 def test_a_face_is_posed_by_sliders_on_both_sides_or_one(open_window, tmp_path):

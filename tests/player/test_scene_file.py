@@ -24,7 +24,7 @@ from player.film.stage import Stage, camera_from_option
 from player.scene.effects import STUDIO, Effects
 from player.scene.opened import opened_avatars
 from player.scene.scene import Scene, SceneAvatar, SceneCamera
-from player.scene.scene_file import lines_of_keys, read_scene, write_scene
+from player.scene.scene_file import read_scene, write_scene
 from player.window.show import opened_show
 
 FULL = '''\
@@ -90,19 +90,12 @@ def test_every_key_arrives(scene_file):
 
 
 MISTAKES = [  # (what stands in FULL, what stands there instead, line, the complaint)
-    (
-        '"turn_deg" = 30',
-        '"turndeg" = 30',
-        10,
-        r"avatar 1\.turndeg: unknown key in \[\[avatar\]\]; did you mean turn_deg\?",
-    ),
+    ('"turn_deg"', '"turndeg"', 10, r"avatar 1\.turndeg: unknown key in \[\[avatar\]\]; did you mean turn_deg\?"),
     ("[effects]", "[efects]", 26, r"efects: unknown key in a scene; did you mean effects\?"),
     ("exposure", "qqq", 25, r"background\.qqq: unknown key in \[background\]; \[background\] has kind, color, path"),
     ("seconds = 8", 'seconds = "8"', 18, r"camera 1\.seconds: expected a number, found the string '8'"),
     ("start = 1", "start = true", 13, r"avatar 2\.start: expected a number, found true"),
-    ("start = 1", "start = -1", 13, r"avatar 2\.start: expected at least 0, found -1"),
     ("rate = 24", "rate = 0", 2, r"rate: expected at least 0.01, found 0"),
-    ("rate = 24", "rate = inf", 2, r"rate: expected a finite number, found inf"),
     ("rate = 24", "rate = ", 2, r"Invalid value, column 11"),
     ("[640, 480]", "[640]", 1, r"size: expected 2 whole numbers in brackets, found 1 of them"),
     ("[640, 480]", "[640, 480.5]", 1, r"size: expected a whole number, found the number 480\.5"),
@@ -112,12 +105,7 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ('"sky.hdr"', '"sky.exr"', 24, r"background\.path: no such file: .*sky\.exr"),
     ('path = "sky.hdr"\n', "", 22, r"background: background hdr needs a path"),
     ('kind = "hdr"', 'kind = "sky"', 23, r"background\.kind: expected one of color, image, video, hdr, transparent"),
-    (
-        'kind = "hdr"',
-        'kind = "transparent"\ncolor = "#000000"',
-        24,
-        r"background\.color: a transparent background takes no color",
-    ),
+    ('"hdr"', '"transparent"\ncolor = "#000000"', 24, r"background\.color: a transparent background takes no color"),
     ("exposure = -1", 'color = "red"', 25, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
     ("vmc:0.0.0.0:39539", "osc:1", 14, r"avatar 2\.live: expected one of vmc:PORT, .*, found 'osc:1'"),
     ("start = 1", 'motion = "walking"', 13, r"avatar 2\.motion: motion and live: expected one of them, found both"),
@@ -127,7 +115,6 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ("width = 3", "width = 0", 30, r"effects\.outline\.width: expected more than 0, found 0"),
     ("width = 3", 'color = "#ff000080"', 30, r"effects\.outline\.color: expected an opaque color"),
     ("width = 3", "with = 2", 30, r"effects\.outline\.with: unknown key in \[effects\.outline\]; did you mean width\?"),
-    ("fxaa", "smaa", 28, r"effects\.antialiasing: expected one of auto, none, fxaa, msaa, found 'smaa'"),
 ]
 
 
@@ -144,8 +131,6 @@ def test_tables_of_the_wrong_kind_are_refused_and_a_bare_scene_has_defaults(scen
         read_scene(scene_file('[camera]\n[[avatar]]\npath = "mannequin"'))
     with pytest.raises(AssetError, match=r"toml:1: effects: expected a table, \[effects\], found the number 3"):
         read_scene(scene_file('effects = 3\n[[avatar]]\npath = "mannequin"'))
-    with pytest.raises(AssetError, match=r"toml:1: effects\.outline: expected a table, \[effects\.outline\], found"):
-        read_scene(scene_file('effects.outline = 3\n[[avatar]]\npath = "mannequin"\n'))
     with pytest.raises(AssetError, match=r"expected at least one \[\[avatar\]\], found none"):
         read_scene(scene_file("\n"))
     with pytest.raises(AssetError, match=r"absent\.toml: no such file; expected a scene"):
@@ -156,35 +141,6 @@ def test_tables_of_the_wrong_kind_are_refused_and_a_bare_scene_has_defaults(scen
     scene = read_scene(scene_file('background.color = "#ff804080"\n[[avatar]]\npath = "mannequin"'))
     alpha = 128 / 255
     assert scene.background.color == pytest.approx((alpha, alpha * 128 / 255, alpha * 64 / 255, alpha))
-
-
-def test_lines_of_keys_knows_every_key_that_toml_reads():
-    text = '''a = 1
-"b.c" = """
-d = 2
-"""  # e = 3
-f.g = [ # h = 1
-  { i = 1 },
-  "j = ]",
-]
-[k."l m"]
-n = 'o = 1'
-[[p]]
-[p.q]
-r = { s = 1 }
-[[p]]
-t = 2020-01-01'''
-    lines = lines_of_keys(text)
-    assert lines == {
-        ("a",): 1, ("b.c",): 2, ("f",): 5, ("f", "g"): 5, ("k", "l m"): 9, ("k", "l m", "n"): 10, ("p", 0): 11,
-        ("p", 0, "q"): 12, ("p", 0, "q", "r"): 13, ("p", 0, "q", "r", "s"): 13,
-        ("p", 1): 14, ("p", 1, "t"): 15,
-    }  # fmt: skip
-    content = tomllib.loads(text)
-    for key in lines:
-        place = content
-        for part in key:
-            place = place[part]
 
 
 EXAMPLES = sorted((DOCS / "scenes").glob("*.toml"))
@@ -294,20 +250,10 @@ def test_cameras_of_a_capture_are_taken_frame_by_frame_and_the_last_one_stays(ti
     assert np.array_equal(taken[4], alone[4]) and not np.array_equal(taken[0], alone[0])
 
 
-def test_what_camera_means_is_seen_from_the_name_and_the_file(tmp_path):
-    camera = orbit_camera((0, 0.9, 0), 3.0, 0.5, 0.1, (40, 48))
-    write_camera(tmp_path / "camera.json", camera)
-    (tmp_path / "path.json").write_text(json.dumps({"keys": [{"t": 0, "eye": [0, 1, 2], "target": [0, 1, 0]}]}))
-    (tmp_path / "capture").mkdir()
-    kinds = {
-        "front": ("front", None), "orbit": ("orbit", None), "turntable": ("turntable", None),
-        str(tmp_path / "camera.json"): ("file", None), str(tmp_path / "path.json"): ("path", None),
-        str(tmp_path / "cameras.npz"): ("file", None), str(tmp_path / "capture"): ("capture", None),
-        f"{tmp_path / 'capture'}:head": ("capture", "head"),
-    }  # fmt: skip
-    for text, (kind, name) in kinds.items():
-        found = camera_from_option(text)
-        assert (found.kind, found.name) == (kind, name)
+def test_a_capture_is_a_camera_by_its_folder_and_part(tmp_path):
+    for part, name in (("", None), (":head", "head")):
+        found = camera_from_option(f"{tmp_path}{part}")
+        assert (found.kind, found.name) == ("capture", name)
     with pytest.raises(AssetError, match=r"none\.json"):
         camera_from_option("none.json")
 

@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -374,19 +373,3 @@ def test_a_signal_that_was_dropped_is_taken_up_later(monkeypatch, capsys):
         assert capsys.readouterr().err == "\nselfscan render: stopped\n"
     with deferred_stop() as stop:
         assert not stop.asked
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_film_that_is_stopped_leaves_the_old_one_and_nothing_else(film, tmp_path, number, code):
-    out = tmp_path / "film.mp4"
-    out.write_bytes(b"the old film")
-    arguments = [*film.replace("0:40", "0:100").replace("48x48", "1600x1600").split(), "-o", str(out)]
-    process = subprocess.Popen(arguments, cwd=ROOT, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 100
-    while not list(tmp_path.glob(".selfscan-*.tmp")) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    process.send_signal(number)
-    _, said = process.communicate(timeout=100)
-    assert process.returncode == code and "stopped" in said and "Traceback" not in said
-    assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"] and out.read_bytes() == b"the old film"

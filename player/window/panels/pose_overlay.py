@@ -94,7 +94,7 @@ def rings(edit: PoseEdit, state: WindowState) -> None:
     if using:
         tool.turn(np.array(edited.values, np.float64).reshape(4, 4)[:3, :3].T)
     elif tool.held is not None and tool.held.handle is None:
-        tool.release(0.0, 0.0)
+        tool.release()
 
 
 def _matrix(matrix: Float[np.ndarray, "4 4"]) -> im_guizmo.Matrix16:

@@ -73,16 +73,11 @@ class Widgets:
 
     # -- values
 
-    def checkbox(
-        self, text: str, on: bool, tip: str, *, name: str = "", beside: bool = False, grey: bool = False
-    ) -> bool:
-        """Whether it is on now; `grey` is one that changes nothing."""
+    def checkbox(self, text: str, on: bool, tip: str, *, name: str = "", beside: bool = False) -> bool:
+        """Whether it is on now."""
         if beside:
             _stay_on_line(text, imgui.get_frame_height())
-        ink = imgui.get_style().color_(imgui.Col_.text_disabled if grey else imgui.Col_.text)
-        imgui.push_style_color(imgui.Col_.text, ink)
         on = imgui.checkbox(text, on)[1]
-        imgui.pop_style_color()
         self._done(name or text, tip)
         return on
 

@@ -81,15 +81,9 @@ def assert_lit(rasteriser, avatar, pose, base, shown, light):
 
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
-@pytest.mark.parametrize("skinning", ["lbs", "dual_quaternion"])
-def test_the_captures_light_is_what_numpy_says_and_stays(shown, rasteriser, avatar, pose, gamma, skinning):
+def test_the_captures_light_is_what_numpy_says(shown, rasteriser, avatar, pose, gamma):
     filmed = lit_avatar(avatar, gamma)
-    effects = replace(OFF, skinning=skinning)
-    base, lit = shown(effects, filmed), shown(replace(effects, light=Light()), filmed)
-    if skinning == "dual_quaternion":
-        # its surface lies elsewhere; that it is lit is enough
-        assert np.abs(lit[..., :3].astype(int) - base[..., :3]).max() > 30
-        return
+    base, lit = shown(OFF, filmed), shown(replace(OFF, light=Light()), filmed)
     assert_lit(rasteriser, filmed, pose, base, lit, filmed.light)
 
 

@@ -180,16 +180,6 @@ def test_what_a_sudden_stop_flings_is_no_faster_than_the_cap(parts):
     assert 4.0 < fastest <= SPEED_CAP
 
 
-def test_two_runs_have_the_same_bits_and_nothing_loose_has_no_particles(parts):
-    avatar = dressed()
-    one, two = (moved(found, 30, 3, dance)[1] for found in (parts, loose_parts(avatar, avatar.levels[0])))
-    assert np.array_equal(one, two) and np.abs(one).max() > 0.05
-    avatar = dressed(skirt=False, hair=False)
-    assert loose_parts(avatar, avatar.levels[0]) is None
-    level = replace(avatar.levels[0], loose=np.zeros(len(avatar.levels[0].positions), np.float32))
-    assert loose_parts(avatar, level) is None
-
-
 def test_who_stands_as_filmed_is_drawn_as_filmed_and_asleep(parts, monkeypatch):
     motion = moved(parts, 60, 2 * CALM, lambda t: STANDING)[0]
     assert motion.asleep and not motion.shows and motion.reach < 1e-6

@@ -1,6 +1,5 @@
 """The page of `selfscan web` in a headless browser: the same picture as `selfscan render`, and nobody is asked."""
 
-import hashlib
 import math
 from dataclasses import replace
 
@@ -137,25 +136,6 @@ def test_nothing_is_asked_of_anyone(page):
     tab.problems.clear()
 
 
-def test_textures_arrive_to_the_byte(page):
-    tab, path, avatar, _ = page
-    tab.open(path, settings())
-    code = """(async () => {
-      const { color, features } = selfscan.drawing.content.get(0), gl = selfscan.drawing.gl;
-      const [texture] = selfscan.drawing.kept("textures 0"), into = gl.createFramebuffer();
-      gl.bindFramebuffer(gl.FRAMEBUFFER, into);
-      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture.texture, 0);
-      const pixels = selfscan.drawing.pixels(into, ...texture.size);
-      const out = new Uint8Array(pixels.length + features.length);
-      out.set(pixels); out.set(features, pixels.length);
-      return out; })()"""
-    data, level = tab.bytes(code), avatar.levels[0]
-    height, width, _ = level.base_color.shape
-    pixels = np.frombuffer(data[: 4 * width * height], np.uint8).reshape(height, width, 4)
-    assert np.array_equal(pixels[..., :3], level.base_color)
-    assert hashlib.sha256(data[4 * width * height :]).digest() == hashlib.sha256(level.features.tobytes()).digest()
-
-
 def test_it_plays_and_the_url_holds_what_is_shown(page):
     tab, path, *_ = page
     tab.open(path)
@@ -222,8 +202,6 @@ def test_the_title_holds_and_the_first_picture_is_timed(page):
     tab.open(path)
     assert tab.ask("document.title") == "A & B </script>"
     assert path.stat().st_size < MOST_BYTES
-    tab, path, *_ = page
-    tab.open(path)
     timing = tab.ask("selfscan.drawing.timing")
     assert 0 < timing["first"] <= timing["whole"]
     # halves go up, as Math.round takes them
