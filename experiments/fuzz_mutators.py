@@ -31,17 +31,17 @@ NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 MOST = 1 << 16
 
 
-def places(value: object, depth: int = 0) -> list[tuple]:
-    """(holder, key) of what is in a value of JSON, at most some thousand."""
-    if depth > 30:
-        return []
-    if isinstance(value, dict):
-        pairs = list(value.items())
-    elif isinstance(value, list):
-        pairs = list(enumerate(value[:300]))
-    else:
-        return []
-    return [found for key, inner in pairs for found in [(value, key), *places(inner, depth + 1)]][:4000]
+def places(value: object) -> list[tuple]:
+    """(holder, key) of what is in a value of JSON, the outermost first; at most some thousand."""
+    found, holders = [], [value]
+    for holder in holders:
+        keys = holder if isinstance(holder, dict) else range(len(holder[:300])) if isinstance(holder, list) else ()
+        for key in keys:
+            found.append((holder, key))
+            holders.append(holder[key])
+        if len(found) > 4000:
+            break
+    return found
 
 
 def _changed(document: object, rng: random.Random) -> object:

@@ -310,6 +310,7 @@ def test_flipped_bytes_are_read_or_one_line(tmp_path, kind):
     assert refused >= kind.refused
 
 
+@pytest.mark.rows
 @every_format
 def test_what_lies_behind_lengths_and_checksums_may_be_wrong(tmp_path, within, kind):
     """Some of what experiments/fuzz.py tries by the million: mutators that mend both."""

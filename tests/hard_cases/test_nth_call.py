@@ -33,11 +33,13 @@ def judged(name: str, outcome: dict, within) -> None:
     within(0, 0, f"lost of {outcome['trials']} trials at {outcome['calls']} calls of {name}")
 
 
+@pytest.mark.rows
 @pytest.mark.parametrize("name", COMMANDS)
 def test_no_failing_call_loses_a_file(tmp_path, within, name):
     judged(name, swept(COMMANDS[name], tmp_path), within)
 
 
+@pytest.mark.rows
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SLOW)
 def test_no_failing_call_loses_what_a_command_wrote(tmp_path, within, name):

@@ -17,6 +17,7 @@ def plain(context):
     return {name: DRAWINGS[name](context) for name in dict(TRIED)}
 
 
+@pytest.mark.rows
 @pytest.mark.parametrize(("name", "rewrites"), TRIED, ids=[f"{n}-{'+'.join(r)[:30]}" for n, r in TRIED])
 def test_a_rewritten_shader_draws_the_same_picture(context, plain, within, name, rewrites):
     plan = Plan(rewrites, seed=4)
