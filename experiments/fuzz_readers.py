@@ -15,7 +15,7 @@ from pkgutil import iter_modules
 from tempfile import mkdtemp
 
 import numpy as np
-import torch
+import torch._dynamo
 from painted_capture import free_subject, write_capture
 from test_face_senders import ifacialmocap, livelinkface, openseeface, vmc
 from test_hostile_bytes import FORMATS, Format, written
