@@ -104,7 +104,8 @@ MORE = {
     "cameras of a capture": Format("cameras.npz", *_capture("body/cameras.npz")),
     "poses of a capture": Format("poses.npz", *_capture("body/poses.npz")),
     "head of a capture": Format("landmarks.json", *_capture("head/landmarks.json", "head"), text=True),
-    "mask": Format("000000.png", *_capture("body/masks/000000.png")),
+    # a size that differs from the first is said of the later
+    "mask": Format("000003.png", *_capture("body/masks/000003.png")),
     "kept pose": Format("mine.npz", _kept_pose, read_pose),
     "grey picture": Format("a.png", FORMATS["PNG"].whole, lambda p: read_picture(p, "L")),
     **{f"sent by {kind}": _sent(kind) for kind in DECODERS},
