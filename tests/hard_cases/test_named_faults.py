@@ -198,6 +198,15 @@ def test_a_body_of_truth_values_or_vast_numbers_is_read_or_named(tmp_path, chang
         refused(read_body, path, message)
 
 
+@pytest.mark.parametrize("read", [read_body, read_motion])
+def test_a_refused_archive_is_closed(tmp_path, read):
+    (tmp_path / "a.npz").write_bytes(b"PK\x03\x04 and no archive")
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(20):
+        refused(read, tmp_path / "a.npz", "found: File is not a zip file|cannot be read|not a zip")
+    assert len(os.listdir("/proc/self/fd")) <= before + 1
+
+
 def test_no_message_is_longer_than_a_screen():
     assert len(str(AssetError("a.glb: found " + "x" * 10**7))) < 2100
 
