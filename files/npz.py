@@ -51,8 +51,12 @@ class NpzFile:
         self.file = _Bounded(open_input(path, self.what, most=MAX_ARCHIVE_BYTES).detach())
         # a motion keeps its file open while it is played; a method of its own would keep it for ever
         weakref.finalize(self, self.file.close)
-        with _readable(f"{path}: expected {self.what}, found"):
-            self.archive: Any = zipfile.ZipFile(self.file)
+        try:
+            with _readable(f"{path}: expected {self.what}, found"):
+                self.archive: Any = zipfile.ZipFile(self.file)
+        except AssetError:
+            self.close()
+            raise
         self.names = frozenset(n.removesuffix(".npy") for n in self.archive.namelist() if n.endswith(".npy"))
 
     def close(self) -> None:
