@@ -8,7 +8,7 @@ RUN = $(VENV)/bin/python
 TORCH_INDEX ?=
 JOBS ?= 2  # test processes side by side
 
-.PHONY: demo test test-all hard-cases mutants setup system lint clean
+.PHONY: demo test test-all hard-cases hard-cases-night mutants setup system lint clean
 
 demo: setup
 	$(RUN) -m bench.demo out/demo
@@ -33,6 +33,13 @@ test-all: test lint
 # Runs the hard cases and writes docs/hard-cases.md: case, bound, measured worst error, rasteriser.
 hard-cases: setup
 	$(RUN) -m pytest -q tests/hard_cases --hard-cases-report docs/hard-cases.md
+
+# What hard cases hold by night: every reader fuzzed (an hour for 60 s each), all shaders rewritten, long commands under failing calls.
+hard-cases-night: setup
+	$(VENV)/bin/pip install --disable-pip-version-check -q 'atheris>=3'
+	$(RUN) -m experiments.shader_rewrites --rounds 10
+	$(RUN) -m experiments.nth_calls
+	$(RUN) -m experiments.fuzz --page docs/fuzzing.md
 
 # Errors planted by hand, one after the other: each must fail the tests named beside it.
 mutants: setup

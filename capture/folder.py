@@ -21,7 +21,7 @@ from capture.frame_files import FrameFiles, Frames, sized_picture
 from capture.videos import Videos
 from command.errors import AssetError
 from command.workers import on_all_cores
-from files.input_file import read_json_object
+from files.input_file import one_line, read_json_object
 from files.npz import field, indices, read_npz
 from files.picture import read_picture
 from files.whole import whole_file
@@ -135,7 +135,7 @@ def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS, frames_on_de
     path = Path(path)
     facts = read_json_object(path / "capture.json", "a capture, as `selfscan import` and `selfscan synth` make it")
     if facts.get("format") != "selfscan-capture" or facts.get("version") != 1:
-        found = f"{facts.get('format')!r} version {facts.get('version')!r}"
+        found = one_line(f"{facts.get('format')!r} version {facts.get('version')!r}")
         raise AssetError(f"{path / 'capture.json'}: expected format 'selfscan-capture' version 1, found {found}")
     named = facts.get("parts")
     missing = [part for part in PARTS if not isinstance(named, list) or part not in named]
@@ -352,5 +352,5 @@ def input_kind(facts: dict[str, Any], place: str = "capture.json") -> str:
     """
     kind = str(facts.get("input", "from pixels" if "source" in facts else "given")).replace("_", " ")
     if kind not in INPUTS:
-        raise AssetError(f"{place}: input should be one of {', '.join(INPUTS)}, is {facts['input']!r}")
+        raise AssetError(f"{place}: input should be one of {', '.join(INPUTS)}, is {one_line(repr(facts['input']))}")
     return kind

@@ -1,6 +1,9 @@
 """The one error that bad input raises."""
 
 
+LONGEST = 2000  # letters of a message: what a file holds is quoted, and may be megabytes
+
+
 class AssetError(Exception):
     """A file or a value from outside is unusable; the message names file, field, expected and found.
 
@@ -9,6 +12,8 @@ class AssetError(Exception):
     """
 
     def __init__(self, message: str):
+        if len(message) > LONGEST:
+            message = f"{message[:LONGEST]}..."
         plain = (c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in message)
         super().__init__("".join(plain))
 

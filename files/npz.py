@@ -49,10 +49,14 @@ class NpzFile:
     def __init__(self, path: Path | str, what: str):
         self.path, self.what = Path(path), f"{what} (.npz)"
         self.file = _Bounded(open_input(path, self.what, most=MAX_ARCHIVE_BYTES).detach())
-        # a motion keeps its file open while it is played
-        weakref.finalize(self, self.close)
-        with _readable(f"{path}: expected {self.what}, found"):
-            self.archive: Any = zipfile.ZipFile(self.file)
+        # a motion keeps its file open while it is played; a method of its own would keep it for ever
+        weakref.finalize(self, self.file.close)
+        try:
+            with _readable(f"{path}: expected {self.what}, found"):
+                self.archive: Any = zipfile.ZipFile(self.file)
+        except AssetError:
+            self.close()
+            raise
         self.names = frozenset(n.removesuffix(".npy") for n in self.archive.namelist() if n.endswith(".npy"))
 
     def close(self) -> None:

@@ -221,7 +221,9 @@ class HardCases:
             return
         file, _, rest = report.nodeid.partition("::")
         measured = [value for name, value in report.user_properties if name == "within"]
-        self.rows[(file, rest.split("[")[0])].append((report.outcome, measured))
+        # each parameter of a test that is marked so is a fact of its own
+        name = rest if "rows" in report.keywords else rest.split("[")[0]
+        self.rows[(file, name)].append((report.outcome, measured))
 
     def pytest_sessionfinish(self):
         lines = [
@@ -256,7 +258,9 @@ class HardCases:
                 tightest[unit] = (nearness, worst, bound)
         worst = "; ".join(f"{value:.2g} {unit}".strip() for unit, (_, value, _) in tightest.items())
         bound = "; ".join(f"{limit:.2g}" for _, _, limit in tightest.values())
-        return f"| {name.removeprefix('test_').replace('_', ' ')} | {len(outcomes)} | {state} | {worst} | {bound} |"
+        name, _, which = name.removeprefix("test_").partition("[")
+        name = name.replace("_", " ") + f": {which.rstrip(']')}" * bool(which)
+        return f"| {name} | {len(outcomes)} | {state} | {worst} | {bound} |"
 
 
 def renderer() -> str:

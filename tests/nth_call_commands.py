@@ -1,6 +1,7 @@
 """What is tried by nth_call.py: commands that write, at tiny sizes, and parts of `selfscan play` without its window."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -82,19 +83,56 @@ def shorter_take(path: Path) -> bool:
     return motion.frames < 6 and bool(np.abs(np.diff(poses) - 0.01).max(initial=0) < 1e-6)
 
 
+def whole_avatar(path: Path) -> bool:
+    """Whether it is an avatar file, all of it: what it says of its making may have changed."""
+    from avatar.baked_avatar import check_avatar
+    from avatar.gltf.avatar_file import read_avatar
+
+    check_avatar(read_avatar(path))
+    return True
+
+
+def whole_capture(path: Path) -> bool:
+    """Whether all of a capture is there."""
+    from capture.folder import read_capture
+
+    return bool(read_capture(path).videos)
+
+
+def whole_run(path: Path) -> bool:
+    """Whether all of a run is there."""
+    from train.run import read_run
+
+    return len(read_run(path).surface.vertices) > 0
+
+
+def keep_checkpoint(folder: Path, arguments: list[str]) -> int:
+    """A checkpoint of a training, over an earlier one."""
+    import torch
+
+    from train.trainer import Position, save_checkpoint
+
+    def write() -> None:
+        torch.manual_seed(arguments[0] == "new")
+        field = torch.nn.Linear(3, 2)
+        adam = torch.optim.Adam(field.parameters())
+        save_checkpoint(folder / "body.ckpt", field, adam, torch.Generator(), Position())
+
+    return said(write)
+
+
 def train_tiny(folder: Path, arguments: list[str]) -> int:
     """`selfscan train --resume` by the preset of tiny.py, in this process."""
     from tiny import TINY, tiny_training
 
     from selfscan.__main__ import main
 
-    capture, seed = arguments[1:]
-    try:
+    capture, seed = arguments
+    codes = []
+    with suppress(AssertionError):
         tiny_training(Path(capture), folder / "run", "--seed", seed, "--resume", preset=TINY,
-                      command=lambda words: main(["train", *words]))  # fmt: skip
-    except AssertionError:
-        return 1
-    return 0
+                      command=lambda words: codes.append(main(["train", *words])) or codes[0])  # fmt: skip
+    return codes[0]
 
 
 def said(act: Callable[[], object]) -> int:
@@ -116,6 +154,7 @@ COMMANDS = {
     "play's take": called("record_take", "take.npz", ["player.live.take"]) | {"also": "shorter_take"},
 }
 SLOW = {
+    "a checkpoint": called("keep_checkpoint", "body.ckpt", ["torch._dynamo", "train.trainer"]),
     "export to AMASS": exported("out.npz"),
     "export to BVH": exported("out.bvh"),
     "render to a picture": rendered("out.png", "--frame 0", "--frame 9"),
@@ -125,5 +164,28 @@ SLOW = {
     "web": {
         "modules": ["player.web_command"], "old": ["web", "mannequin", "-o", "{}/out.html"],
         "new": ["web", "mannequin:female", "-o", "{}/out.html"], "out": "out.html",
+    },
+}  # fmt: skip
+# {authors}: two people in the authors' folders, and a body model
+IMPORT = {
+    "modules": ["capture.read.totalselfscan"], "most": 12, "also": "whole_capture", "out": "out",
+    "old": ["import", "totalselfscan", "{authors}/male-old", "{}/out", "--body", "{authors}/model.npz"],
+    "new": ["import", "totalselfscan", "{authors}/male-new", "{}/out", "--body", "{authors}/model.npz"],
+}  # fmt: skip
+# half a minute each, tried by night (experiments/nth_calls.py), where {capture} and {run} are made
+LONG = {
+    "synth": {
+        "modules": ["synth.command"], "most": 3, "also": "whole_capture", "out": "out",
+        "old": ["synth", "builtin", "{}/out", "--size", "32", "--frames", "4", "--no-truth"],
+        "new": ["synth", "builtin", "{}/out", "--size", "32", "--frames", "5", "--no-truth"],
+    },
+    "train --resume": {
+        "modules": ["train.command", "tiny"], "most": 3, "also": "whole_run", "out": "run",
+        "old": ["{capture}", "1"], "new": ["{capture}", "2"], "call": "nth_call_commands:train_tiny",
+    },
+    "bake": {
+        "modules": ["bake.command"], "most": 6, "also": "whole_avatar", "out": "out.glb",
+        "old": ["bake", "{run}", "-o", "{}/out.glb", "--faces", "1500", "--texture", "128"],
+        "new": ["bake", "{run}", "-o", "{}/out.glb", "--faces", "1200", "--texture", "128"],
     },
 }  # fmt: skip

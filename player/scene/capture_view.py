@@ -21,7 +21,7 @@ from avatar.motion.clip import Clip
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from command.errors import AssetError
-from files.input_file import read_json_object
+from files.input_file import one_line, read_json_object
 from files.npz import field, read_npz
 from files.picture import read_picture
 
@@ -62,7 +62,7 @@ def open_capture(path: Path | str, part: str = "body") -> CaptureView:
     path = Path(path)
     facts = read_json_object(path / "capture.json", "a capture")
     if facts.get("format") != "selfscan-capture":
-        raise AssetError(f"{path}: expected a capture folder, found format {facts.get('format')!r}")
+        raise AssetError(f"{path}: expected a capture folder, found format {one_line(repr(facts.get('format')))}")
     if part not in PARTS:
         raise ValueError(f"part should be one of {', '.join(PARTS)}, is {part!r}")
     folder = path / part

@@ -152,6 +152,7 @@ LOOSE_BODIES = {
 }
 
 
+@pytest.mark.rows
 @pytest.mark.parametrize("name", LOOSE_BODIES)
 @pytest.mark.parametrize("settings", [SETTINGS, replace(SETTINGS, gravity=0.0)], ids=["gravity", "none"])
 def test_hair_and_skirt_stay_with(parts, name, settings, within):

@@ -45,6 +45,7 @@ from capture.read.colmap import _images, _lenses
 from capture.read.landmarks import read_pixels
 from capture.read.opencv_yaml import read_opencv_yaml
 from command.errors import AssetError
+from experiments.fuzz_mutators import mutated, noise
 from files.npz import read_npy, read_npz
 from files.picture import WITH_WEBP, read_picture
 from files.sound import read_wav
@@ -307,6 +308,24 @@ def test_flipped_bytes_are_read_or_one_line(tmp_path, kind):
             data[place] = rng.choice(list(b'0123456789.-+eE[]{}",:\n ')) if kind.text and n % 2 else rng.integers(256)
         refused += hostile(kind, tmp_path / kind.name, bytes(data))
     assert refused >= kind.refused
+
+
+@pytest.mark.rows
+@every_format
+def test_what_lies_behind_lengths_and_checksums_may_be_wrong(tmp_path, within, kind):
+    """Some of what experiments/fuzz.py tries by the million: mutators that mend both."""
+    kind, rng = FORMATS[kind], random.Random(11)
+    whole, strays = kind.whole(tmp_path), []
+    for number in range(40):
+        data = whole
+        for _ in range(1 + number % 3):
+            data = mutated(data, rng, noise(rng), text=kind.text)
+        try:
+            hostile(kind, tmp_path / kind.name, data)
+        except Exception as error:
+            strays.append(f"{type(error).__name__}: {error}, input {number}")
+    assert not strays, strays
+    within(len(strays), 0, "stray exceptions of 40 mended files")
 
 
 @pytest.mark.parametrize("kind", [name for name, kind in FORMATS.items() if kind.text])

@@ -67,6 +67,7 @@ NO_LIGHT = {
 }
 
 
+@pytest.mark.rows
 @pytest.mark.parametrize("case", NO_LIGHT)
 def test_pixels_that_tell_no_light_give_none(ball, case):
     pixels = NO_LIGHT[case](ball)
@@ -135,6 +136,23 @@ def test_a_video_half_as_bright_from_its_middle_on_moves_the_lamp_little(ball, w
     fit = fit_light(ball._replace(color=ball.color * np.where(dim, 0.5, 1.0)[:, None]))
     check(fit, ball)
     within(degrees_off(fit.lights["body"], SIDE), 3.0, "degrees")
+
+
+def test_videos_1_2_times_as_bright_tell_the_same_light(ball, within):
+    fits = [fit_light(ball._replace(color=share * ball.color / 1.2)) for share in (1.0, 1.2)]
+    ours, theirs = (fit.lights["body"] for fit in fits)
+    within(degrees_off(theirs, tuple(ours.directions[0])), 0.5, "degrees")
+    within(ours.ambient / ours.strengths[0] - theirs.ambient / theirs.strengths[0], 0.02, "of the lamp")
+
+
+@pytest.mark.parametrize("way", ["brighter", "darker", "to and fro"])
+def test_an_exposure_that_drifts_by_a_fifth_moves_the_lamp_little(ball, within, way):
+    """Frames follow each other in the pixels' order; every video drifts alike."""
+    share = np.concatenate([np.linspace(0, 1, n) for n in np.bincount(ball.video)])
+    drift = {"brighter": share, "darker": 1 - share, "to and fro": np.abs(2 * share - 1)}[way]
+    fit = fit_light(ball._replace(color=ball.color * (0.8 + 0.2 * drift)[:, None]))
+    check(fit, ball)
+    within(degrees_off(fit.lights["body"], SIDE), 4.0, "degrees")
 
 
 @pytest.mark.parametrize("count", [0, 1, LEAST - 1])

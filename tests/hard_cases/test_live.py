@@ -64,6 +64,7 @@ def test_t_pose_calibration_recovers_any_rig(turn, within):
     assert np.abs((theirs * quaternion_product(ours, rest)).sum(-1)).min() > 1 - 1e-10
 
 
+@pytest.mark.rows
 @pytest.mark.parametrize("kind", ["vmc", "udp"])
 @pytest.mark.parametrize(
     "clock", ["steady", "backwards", "30 days on", "stall of 10 s", "set ahead", "frozen", "reordered", "twice"]

@@ -163,6 +163,15 @@ def test_parts_of_a_capture_that_are_no_list_are_named(tmp_path, parts):
         read_capture(tmp_path)
 
 
+@pytest.mark.parametrize("field", ["format", "version"])
+def test_what_a_capture_says_is_quoted_in_short(tmp_path, field):
+    said = {"format": "selfscan-capture", "version": 1} | {field: {"a": "b" * 100_000}}
+    (tmp_path / "capture.json").write_text(json.dumps(said))
+    with pytest.raises(AssetError, match=r"capture\.json: expected format 'selfscan-capture' version 1") as caught:
+        read_capture(tmp_path)
+    assert len(str(caught.value)) < 400 + len(str(tmp_path))
+
+
 @pytest.mark.parametrize("vertex", [2**70, -1, 4, 1.5, True, "3", None])
 def test_landmarks_of_vertices_that_are_not_there_are_named_by_the_window_too(tmp_path, vertex):
     (tmp_path / "head").mkdir()
@@ -187,6 +196,19 @@ def test_a_body_of_truth_values_or_vast_numbers_is_read_or_named(tmp_path, chang
         assert (read_body(path).joints == 0).all()
     else:
         refused(read_body, path, message)
+
+
+@pytest.mark.parametrize("read", [read_body, read_motion])
+def test_a_refused_archive_is_closed(tmp_path, read):
+    (tmp_path / "a.npz").write_bytes(b"PK\x03\x04 and no archive")
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(20):
+        refused(read, tmp_path / "a.npz", "found: File is not a zip file|cannot be read|not a zip")
+    assert len(os.listdir("/proc/self/fd")) <= before + 1
+
+
+def test_no_message_is_longer_than_a_screen():
+    assert len(str(AssetError("a.glb: found " + "x" * 10**7))) < 2100
 
 
 def test_no_message_carries_a_control_character():

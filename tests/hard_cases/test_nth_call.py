@@ -7,7 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from nth_call_commands import COMMANDS, SLOW
+from foreign_layouts import write_authors
+from nth_call_commands import COMMANDS, IMPORT, SLOW
+from smplh_model import write_model
+
+from capture.folder import read_capture
 
 TESTS = Path(__file__).parents[1]
 
@@ -29,12 +33,24 @@ def judged(name: str, outcome: dict, within) -> None:
     within(0, 0, f"lost of {outcome['trials']} trials at {outcome['calls']} calls of {name}")
 
 
+@pytest.mark.rows
 @pytest.mark.parametrize("name", COMMANDS)
 def test_no_failing_call_loses_a_file(tmp_path, within, name):
     judged(name, swept(COMMANDS[name], tmp_path), within)
 
 
+@pytest.mark.rows
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SLOW)
 def test_no_failing_call_loses_what_a_command_wrote(tmp_path, within, name):
     judged(name, swept(SLOW[name], tmp_path), within)
+
+
+@pytest.mark.slow
+def test_no_failing_call_loses_a_capture_that_is_imported(tmp_path, tiny_capture, within):
+    for name in ("old", "new"):
+        write_authors(read_capture(tiny_capture), tmp_path / f"authors/male-{name}")
+    write_model(tmp_path / "authors/model.npz")
+    (tmp_path / "trials").mkdir()
+    spec = json.loads(json.dumps(IMPORT).replace("{authors}", str(tmp_path / "authors")))
+    judged("import", swept(spec, tmp_path / "trials"), within)

@@ -121,6 +121,7 @@ def content(value: object) -> list:
     return [repr(value)]
 
 
+@pytest.mark.rows
 @pytest.mark.parametrize("fault", [torn_write, lost_write, misdirected_write, bit_rot])
 @pytest.mark.parametrize("kind", KEPT)
 def test_what_a_disk_spoilt_is_never_believed(tmp_path, within, kind, fault):

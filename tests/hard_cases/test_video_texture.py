@@ -142,6 +142,45 @@ def test_frames_of_two_colors_give_texels_between_them(grey, within):
     within(np.quantile(np.maximum(60 / 255 - found, found - 200 / 255), 0.999), 0.03, "beyond both, of 999 in 1000")
 
 
+BEHIND = {
+    "white": lambda shape: np.full(shape, 255, np.uint8),
+    "grey": lambda shape: np.full(shape, 90, np.uint8),
+    "noise": lambda shape: np.random.default_rng(5).integers(0, 256, shape, np.uint8),
+}
+
+
+@pytest.mark.rows
+@pytest.mark.parametrize("behind", ["white", "noise"])
+def test_what_is_behind_the_person_colors_nothing(grey, behind, within):
+    def left(video: PartVideo) -> np.ndarray:
+        return np.broadcast_to(np.arange(48) < 24, video.masks.shape)
+
+    def before(video: PartVideo, back: str) -> np.ndarray:
+        return np.where(left(video)[..., None], video.images // 2, BEHIND[back](video.images.shape))
+
+    found = [textured(grey, images=lambda v, back=back: before(v, back), masks=left)[0] for back in ("grey", behind)]
+    assert np.abs(found[0] - 128 / 255).max() > 0.2
+    within(found[0] - found[1], 0.0, f"{behind} instead of grey")
+
+
+def test_an_exposure_that_drifts_gives_texels_between_its_extremes(grey, within):
+    drift = np.array([0.85, 0.95, 1.05, 1.15])[:, None, None, None]
+    found, _ = textured(grey, images=lambda video: np.round(120 * drift * np.ones_like(video.images)).astype(np.uint8))
+    low, high = 120 * 0.85 / 255, 120 * 1.15 / 255
+    within(np.quantile(np.maximum(low - found, found - high), 0.999), 0.01, "beyond both, of 999 in 1000")
+
+
+def test_videos_and_colors_1_2_times_as_bright_give_a_texture_as_much_brighter(grey, within):
+    baked, joints, videos = grey
+    found = []
+    for value in (100, 120):
+        level = replace(baked.level, base_color=np.full_like(baked.level.base_color, value))
+        filmed = lambda video, value=value: np.full_like(video.images, 1.2 * value)
+        found.append(textured((baked._replace(level=level), joints, videos), images=filmed)[0])
+    assert np.ptp(found[0]) > 0.05
+    within(1.2 * found[0] - found[1], 0.005, "1.2 times as bright")
+
+
 @pytest.mark.parametrize("pattern", ["stripes", "checkerboard"])
 def test_contrasts_of_one_texel_across_chart_edges_stay_within_what_was_seen(pattern, within):
     """Every texel of a ball is told its own color, edges that they agree, then mips are closed: nowhere beyond."""

@@ -12,6 +12,7 @@ from interchange.test_export import decibels, painted
 
 from avatar.camera import orbit_camera, project
 from avatar.motion.clip import Motion
+from experiments.glsl_rewrites import REWRITES, Plan, rewriting
 from player.budget.rung import Rung
 from player.draw.drawing import Pose
 from player.draw.posing import posed_vertices
@@ -83,6 +84,20 @@ def test_the_page_draws_the_frames_of_render_in_every_view_mode(page):
     for view in ("off", "linear"):
         assert decibels(drawn[1, "network"], drawn[1, view], everywhere) < 35
     assert decibels(drawn[1, "network"], drawn[0, "network"], everywhere) < 20
+    assert tab.problems == []
+
+
+def test_rewritten_shaders_draw_the_same_page(page, tmp_path):
+    tab, path, avatar, poses = page
+    with rewriting(Plan(tuple(REWRITES), seed=4)) as plan:
+        write_page(tmp_path / "rewritten.html", avatar, two_poses(poses[1])[1], 0, 2, "Rewritten")
+    assert plan.sites
+    for view in VIEWS:
+        pictures = []
+        for one in (path, tmp_path / "rewritten.html"):
+            tab.open(one, settings(view=view, frame=1))
+            pictures.append(tab.frame().astype(int))
+        assert np.abs(pictures[0] - pictures[1]).max() <= 1
     assert tab.problems == []
 
 
