@@ -6,6 +6,8 @@ import math
 import os
 import re
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -37,6 +39,20 @@ def one_line(error: object) -> str:
     """What went wrong, short enough for one line of a message."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 120 else f"{text[:117]}..."
+
+
+@contextmanager
+def unusable(message: str) -> Iterator[None]:
+    """Whatever a broken file raises in the block becomes one line that begins with `message`.
+
+    Decoders of hostile bytes raise what their parts raise, a dozen kinds each.
+    """
+    try:
+        yield
+    except AssetError:
+        raise
+    except Exception as error:
+        raise AssetError(f"{message}: {one_line(error)}") from None
 
 
 def open_input(path: Path | str, what: str, *, most: int = MAX_BYTES) -> io.BufferedReader:

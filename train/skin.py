@@ -33,9 +33,7 @@ class CanonicalSkin:
         samples = lattice_samples(self.vertices, self.faces, np.where(on_hand, 0.0015, 0.006))
         self.face, self.tree = samples.face, KDTree(samples.on(self.vertices, self.faces))
 
-    def lookup(
-        self, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]
-    ) -> tuple[SkinWeights, Bool[Array, "n"]]:
+    def lookup(self, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> tuple[SkinWeights, Bool[Array, "n"]]:
         """Weights of canonical points: of the triangles of the nearest samples the closest whose normals agree
         (dot > .5), else the closest. ok is false beyond the limit or where no normal agrees.
         """

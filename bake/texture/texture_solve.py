@@ -73,9 +73,8 @@ def solve_change(
     *,
     stiff: Equations | None = None,
     rounds: int = ROUNDS,
-    report: Callable[[int, float], None] = lambda number, residual: None,
 ) -> Float[Array, "texels channels"]:
-    """The change d of the atlas, float32; `report` gets each round's residual relative to the first.
+    """The change d of the atlas, float32.
 
     `stiff` are equations of few texels each, as those of agreement: they are solved for as a whole in each round.
     """
@@ -95,7 +94,7 @@ def solve_change(
             result += part
         return result
 
-    return conjugate_gradients(apply, precondition, residual, rounds, report)
+    return conjugate_gradients(apply, precondition, residual, rounds)
 
 
 def row_blocks(matrix: csr_matrix, columns: int) -> list[csr_matrix]:
@@ -115,21 +114,18 @@ def conjugate_gradients(
     precondition: Callable[[Array], Array],
     residual: Float[Array, "texels channels"],
     rounds: int,
-    report: Callable[[int, float], None],
 ) -> Float[Array, "texels channels"]:
     """Some rounds from zero towards apply(change) = residual, which is used up."""
     change = np.zeros_like(residual)
     scaled = precondition(residual)
     ahead, energy = scaled.copy(), (residual * scaled).sum(0)
-    first = np.maximum(energy, 1e-30)
-    for number in range(rounds):
+    for _ in range(rounds):
         moved = apply(ahead)
         step = energy / np.maximum((ahead * moved).sum(0), 1e-30)
         change += step * ahead
         residual -= step * moved
         scaled = precondition(residual)
         before, energy = energy, (residual * scaled).sum(0)
-        report(number, float(np.sqrt((energy / first).max())))
         ahead = scaled + (energy / np.maximum(before, 1e-30)) * ahead
     return change
 
