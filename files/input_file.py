@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import reprlib
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -39,6 +40,12 @@ def one_line(error: object) -> str:
     """What went wrong, short enough for one line of a message."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 120 else f"{text[:117]}..."
+
+
+def short(value: object, most: int = 80) -> str:
+    """A value that was found, as text for one line of a message."""
+    text = reprlib.repr(value)
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 @contextmanager

@@ -50,14 +50,10 @@ class CanonicalSkin:
         return blend_skin(self.skin, self.faces[face], weights), agree & (gap < self.limit)
 
     def of_mesh(
-        self,
-        vertices: Float[Array, "vertices 3"],
-        faces: Int[Array, "faces 3"],
-        normals: Float[Array, "vertices 3"] | None = None,
+        self, vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], normals: Float[Array, "vertices 3"]
     ) -> SkinWeights:
         """Weights of a mesh's vertices: looked up where that is safe, harmonic over the edges elsewhere."""
-        skin, ok = self.lookup(vertices, vertex_normals(vertices, faces) if normals is None else normals)
-        return harmonic_fill(skin, ok, faces)
+        return harmonic_fill(*self.lookup(vertices, normals), faces)
 
 
 def harmonic_fill(skin: SkinWeights, known: Bool[Array, "vertices"], faces: Int[Array, "faces 3"]) -> SkinWeights:

@@ -31,6 +31,7 @@ from avatar.gltf.face import read_eyes, read_face
 from avatar.gltf.scene import (
     attribute_accessors,
     base_color_image,
+    base_texture,
     node_parents,
     primitives,
     read_skin,
@@ -219,6 +220,9 @@ def _level_source(gltf: Gltf, item: object, where: str) -> _Source:
     base_color = base_color_image(gltf, material)
     if base_color is None:
         raise gltf.error(f"materials[{material}]", "with a base colour texture", None)
+    texcoord = base_texture(gltf, material).get("texCoord", 0)
+    if texcoord != 0:
+        raise gltf.error(f"materials[{material}] texCoord", "0, the only texture coordinates read", texcoord)
     features = item.get("featureImage")
     if features is not None:
         features = gltf.index("images", features, f"{where}.featureImage")

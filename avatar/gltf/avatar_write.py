@@ -12,6 +12,7 @@ from avatar.gltf.face import EYE_JOINTS, HEAD, add_targets, bound_to_eyes, eye_o
 from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
 from avatar.helper_joints import CARRIER, HelperJoints
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
+from command.settings import settings_json
 from files.input_file import JsonObject
 from files.picture import encode_png
 from files.whole import whole_file
@@ -145,7 +146,7 @@ def _extension(avatar: Avatar, levels: list[JsonObject]) -> JsonObject:
     if avatar.linear is not None:
         extension["linear"] = _flat(avatar.linear)
     if avatar.light is not None:
-        extension["light"] = avatar.light.json()
+        extension["light"] = settings_json(avatar.light)
     return extension
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Integer
 from numpy import ndarray as Array
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csgraph, csr_matrix, diags
 
 from bake.texture.texels import TexelMap
 from command.workers import on_all_cores
@@ -58,12 +58,10 @@ def neighbour_pairs(texels: TexelMap) -> Integer[Array, "pairs 2"]:
 
 
 def laplacian(pairs: Integer[Array, "pairs 2"], weight: Float[Array, "pairs"], count: int) -> csr_matrix:
-    """sum over pairs of weight (x_i - x_j)^2 = x^T L x."""
-    first, second = pairs.T
-    weight = weight.astype(np.float32)
-    rows, columns = np.r_[first, second], np.r_[second, first]
-    off = csr_matrix((np.r_[-weight, -weight], (rows, columns)), (count, count))
-    return csr_matrix(diags(-np.asarray(off.sum(1)).ravel().astype(np.float32)) + off)
+    """sum over pairs of weight (x_i - x_j)^2 = x^T L x, float32."""
+    rows, columns = np.r_[pairs, pairs[:, ::-1]].T
+    joined = csr_matrix((np.r_[weight, weight].astype(np.float32), (rows, columns)), (count, count))
+    return csr_matrix(csgraph.laplacian(joined))
 
 
 def solve_change(
