@@ -1,6 +1,5 @@
 """Cameras: OpenCV intrinsics and extrinsics, files, rays, and the exact OpenGL matrices of the same camera."""
 
-import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from command.errors import AssetError
-from files.input_file import read_json_object
+from files.input_file import read_json_object, short
 from files.npz import read_npz
 from files.whole import whole_file, write_json
 
@@ -229,16 +228,17 @@ def checked_camera(place: str, K: object, pose: object, size: object, distortion
         AssetError: a number is absent or not finite, a focal length not positive, a rotation not one.
     """
     arrays = {}
-    for name, value, shape in [("K", K, (3, 3)), ("camera_from_world", pose, (4, 4)), ("distortion", distortion, (5,)),
+    for name, given, shape in [("K", K, (3, 3)), ("camera_from_world", pose, (4, 4)), ("distortion", distortion, (5,)),
                                ("size", size, (2,))]:  # fmt: skip
+        shown = short(given.tolist() if isinstance(given, Array) and given.size < 40 else given, 60)
         try:
-            array = np.asarray(value, np.float64)
+            array = np.asarray(given, np.float64)
         except (TypeError, ValueError, OverflowError):
-            raise AssetError(f"{place}: {name} should be numbers of shape {shape}, is {_shown(value)}") from None
+            raise AssetError(f"{place}: {name} should be numbers of shape {shape}, is {shown}") from None
         if array.shape != shape or not np.isfinite(array).all():
-            raise AssetError(f"{place}: {name} should be finite and of shape {shape}, is {_shown(value)}")
+            raise AssetError(f"{place}: {name} should be finite and of shape {shape}, is {shown}")
         if not (np.abs(array) < LARGEST).all():
-            raise AssetError(f"{place}: {name} should be below {LARGEST:g}, is {_shown(value)}")
+            raise AssetError(f"{place}: {name} should be below {LARGEST:g}, is {shown}")
         arrays[name] = array
     K_, pose_, size_ = arrays["K"], arrays["camera_from_world"], arrays["size"]
     if not (K_[0, 0] > 0 and K_[1, 1] > 0):
@@ -253,9 +253,3 @@ def checked_camera(place: str, K: object, pose: object, size: object, distortion
     if not (size_ >= 1).all() or not (size_ <= 65536).all() or (size_ != np.round(size_)).any():
         raise AssetError(f"{place}: size should be two whole numbers from 1 to 65536, is {size_.tolist()}")
     return Camera(K_, pose_, (int(size_[0]), int(size_[1])), arrays["distortion"])
-
-
-def _shown(value: object) -> str:
-    """A value of a file, as text for one line."""
-    text = reprlib.repr(value.tolist() if isinstance(value, Array) and value.size < 40 else value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from command.settings import AtLeast, AtMost, SettingsSource, record_of, settings, settings_json
-from files.input_file import Json, JsonObject
+from command.settings import AtLeast, AtMost, SettingsSource, record_of, settings
+from files.input_file import Json
 
 Frame = Literal["camera", "world"]
 # at most; as many as shaders/light.glsl has room for
@@ -119,10 +119,6 @@ class CaptureLight:
         lamps = lamps_of(self.directions, self.strengths * factor)
         return replace(self, ambient=self.ambient * factor, lamps=lamps)
 
-    def json(self) -> JsonObject:
-        """What JSON holds of it; `light_from_json` gives it back exactly."""
-        return settings_json(self)
-
 
 def lamps_of(directions: Float[Array, "lamps 3"], strengths: Float[Array, "lamps"]) -> tuple[Lamp, ...]:
     """Lamps from directions of any length but 0."""
@@ -131,7 +127,7 @@ def lamps_of(directions: Float[Array, "lamps 3"], strengths: Float[Array, "lamps
 
 
 def light_from_json(content: Json) -> CaptureLight:
-    """Read what `CaptureLight.json` wrote.
+    """A light as `settings_json` gives it to JSON.
 
     Raises:
         ValueError: a field is absent, unknown or out of its range; the message names it, what was expected and found.

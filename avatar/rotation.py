@@ -157,21 +157,6 @@ def between(a: Float[Array, "*b 3"], b: Float[Array, "*b 3"], part: Float[Array,
     return axis_angle_from_quaternion(slerp(quaternion_from_axis_angle(a), quaternion_from_axis_angle(b), part))
 
 
-def nearest_axis_angle(axis_angle: Float[Array, "*b 3"], reference: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
-    """The vector of the same rotation that lies closest to `reference` (v + 2 pi n axis).
-
-    Keeps a sequence continuous where the angle passes pi: near pi the two signs of the axis are almost the
-    same rotation, and a filter or a plot would jump by 2 pi between neighbouring frames.
-    """
-    v, r = np.asarray(axis_angle, np.float64), np.asarray(reference, np.float64)
-    angle = np.linalg.norm(v, axis=-1, keepdims=True)
-    length = np.linalg.norm(r, axis=-1, keepdims=True)
-    reference_axis = r / np.where(length > 0, length, 1.0)
-    axis = np.where(angle > 1e-12, v / np.where(angle > 1e-12, angle, 1.0), reference_axis)
-    turns = np.round((np.sum(r * axis, -1, keepdims=True) - angle) / (2 * np.pi))
-    return v + 2 * np.pi * turns * axis
-
-
 def nearest_rotation(matrix: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3 3"]:
     """The rotation R nearest to a matrix, never a mirror: min |R - M|^2 (Kabsch 1976).
 

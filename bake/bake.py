@@ -72,7 +72,6 @@ def bake(
     options: BakeOptions = BakeOptions(),  # noqa: B008  frozen
     *,
     capture: Path | str | None = None,
-    progress: Callable[[str], None] = print,
 ) -> Avatar:
     """Bake a run folder into NAME.glb (and NAME.onnx where a network is shipped).
 
@@ -84,7 +83,7 @@ def bake(
     run = read_run(Path(run_path))
     given = None if capture is None else Path(capture)
     videos = None if options.texture_from == "field" else run_videos(run.path, run.provenance, given)
-    return bake_run(run.bake_source, Path(out), options, progress, videos)
+    return bake_run(run.bake_source, Path(out), options, print, videos)
 
 
 @one_thread()

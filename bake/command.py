@@ -28,11 +28,7 @@ class BakeCommand:
     run: Annotated[Path, Option(positional=True, metavar="RUN"), "run folder, as `selfscan train` writes it"]
     out: Annotated[Path, Option(("-o",), "NAME.glb"), "avatar file to write"]
     options: Annotated[BakeOptions, "how it is baked"]
-    capture: Annotated[
-        Path | None,
-        Option(metavar="CAPTURE"),
-        "its videos, where run.json does not find them",
-    ] = None
+    capture: Annotated[Path | None, Option(metavar="CAPTURE"), "its videos, where run.json does not find them"] = None
 
     def __post_init__(self):
         if self.out.suffix.lower() != ".glb":

@@ -18,7 +18,7 @@ from capture.template.layers import BODY, HAIR, LEAST_HAIR, hair_layers
 from capture.template.solid import solid_inside, template_behind_cloth
 from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged
 from geometry.isosurface import Detail, Extraction, GridSteps, Hints, PointFunction, extract
-from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas, vertex_normals
+from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas, restricted, vertex_normals
 
 
 class SurfaceLayer(NamedTuple):
@@ -112,7 +112,7 @@ def layered_data(
     cone, part, filled = None, np.zeros(count, np.int64), 0
     for k in np.unique(layer):
         own, source = layer == k, origin.layer == k
-        data = transferred_data(_only(origin, source), _part_of(mesh, own), normals[own])
+        data = transferred_data(_only(origin, source), restricted(mesh, own), normals[own])
         if cone is None:
             cone = ViewCone(*(np.zeros((count, *value.shape[1:])) for value in data.cone))
         weights[own], part[own], filled = data.weights, data.part, filled + data.filled
@@ -122,12 +122,7 @@ def layered_data(
     return TransferredData(weights, cone, part, filled)
 
 
-def _part_of(mesh: TriangleMesh, own: Bool[Array, "vertices"]) -> TriangleMesh:
-    index = np.cumsum(own) - 1
-    return TriangleMesh(mesh.vertices[own], index[mesh.faces[own[mesh.faces[:, 0]]]])
-
-
 def _only(origin: SourceSurface, own: Bool[Array, "vertices"]) -> SourceSurface:
-    vertices, faces = _part_of(TriangleMesh(origin.vertices, origin.faces), own)
+    vertices, faces = restricted(TriangleMesh(origin.vertices, origin.faces), own)
     cone, weights = origin.cone.of(own), origin.weights[own]
     return SourceSurface(vertices, faces, origin.part[own], cone, weights, origin.layer[own])

@@ -60,15 +60,10 @@ def missed_promises(facts: Facts, options: BakeOptions, size: int) -> list[str]:
                 f"{part}: its video differs by {fit['rms_after']:.1f} of 255 from the texture made of it, "
                 f"{fit['rms_before']:.1f} from the field's: try --texture-from field"
             )
-    limit = file_limit(options)
+    # more where more texels or triangles were asked for
+    limit = FILE_SIZE * max(1.0, (options.texture / 2048) ** 2, options.faces / 30_000)
     if size > limit:
         lines.append(
             f"the file has {size / 1e6:.1f} MB, promised are at most {limit / 1e6:.0f}: most of it is --texture's"
         )
     return lines
-
-
-def file_limit(options: BakeOptions) -> float:
-    """Bytes that the file may have: more where more texels or triangles were asked for."""
-    more = max(1.0, (options.texture / 2048) ** 2, options.faces / 30_000)
-    return FILE_SIZE * more

@@ -19,7 +19,7 @@ from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
 from avatar.motion.fingers import HAND_RELAXED, MIRROR, hand_pose
 from avatar.motion.read import MOTIONS_FOLDER
-from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, nearest_axis_angle
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
 
 Array = np.ndarray
@@ -35,6 +35,21 @@ ARM_WAVING = np.array([0.86, -0.40, 0.22, 0.12, 0.90, 0.40, 1.75, 0.10, -0.10, 0
 # A hand: curl of index, middle, pinky, ring, thumb (0 straight, 1 closed), spread (radians between neighbours)
 HAND_OPEN = np.array([0.02, 0.00, 0.04, 0.02, -0.10, 0.13])
 HAND_FIST = np.array([1.06, 1.08, 1.06, 1.08, 0.85, -0.10])
+
+
+def nearest_axis_angle(axis_angle: Float[Array, "*b 3"], reference: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """The vector of the same rotation that lies closest to `reference` (v + 2 pi n axis).
+
+    Keeps a sequence continuous where the angle passes pi: near pi the two signs of the axis are almost the
+    same rotation, and a filter or a plot would jump by 2 pi between neighbouring frames.
+    """
+    v, r = np.asarray(axis_angle, np.float64), np.asarray(reference, np.float64)
+    angle = np.linalg.norm(v, axis=-1, keepdims=True)
+    length = np.linalg.norm(r, axis=-1, keepdims=True)
+    reference_axis = r / np.where(length > 0, length, 1.0)
+    axis = np.where(angle > 1e-12, v / np.where(angle > 1e-12, angle, 1.0), reference_axis)
+    turns = np.round((np.sum(r * axis, -1, keepdims=True) - angle) / (2 * np.pi))
+    return v + 2 * np.pi * turns * axis
 
 
 def minimum_jerk(t: Array | float) -> Array | float:

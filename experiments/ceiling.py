@@ -28,6 +28,7 @@ from capture.held_out import read_held_out, read_truth_facts, some_poses
 from files.npz import read_npz
 from files.picture import read_picture
 from files.whole import write_json
+from geometry.mesh import vertex_normals
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
 from synth.light import light_of
@@ -40,7 +41,7 @@ def ceiling_surface(capture: Path, truth: TrueMesh) -> PosableSurface:
     """The true mesh with weights looked up on the capture's template, as training looks them up."""
     canonical = truth.canonical()
     template = read_subject(Path(capture) / "subject.npz")
-    skin = CanonicalSkin(template).of_mesh(canonical, truth.faces)
+    skin = CanonicalSkin(template).of_mesh(canonical, truth.faces, vertex_normals(canonical, truth.faces))
     return PosableSurface(canonical, truth.faces, skin, np.asarray(template.joints, np.float64), BIG_POSE)
 
 

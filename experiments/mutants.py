@@ -42,7 +42,7 @@ PLANTED = (
             "tests/avatar/test_rotation.py"),
     Planted("avatar/rotation.py", "usable = sine > 1e-12", "usable = sine > -1", "tests/avatar/test_rotation.py"),
     Planted("avatar/rotation.py", "+ np.cross(av, bv)", "+ np.cross(bv, av)", "tests/avatar/test_rotation.py"),
-    Planted("avatar/rotation.py", "turns = np.round(", "turns = 0 * np.round(", HARD + "rotations.py"),
+    Planted("experiments/builtin_motions.py", "turns = np.round(", "turns = 0 * np.round(", HARD + "rotations.py"),
     # skinning and its inverse
     Planted("avatar/skinning.py", "bones[skin.heaviest]) >= 0", "bones[skin.heaviest]) >= -2", HARD + "skinning.py"),
     Planted("avatar/skinning.py", "weights = weights / weights.sum(1, keepdims=True)", "pass", HARD + "skinning.py"),

@@ -58,7 +58,7 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
     if name in ("no_fusion", "no_codes_no_fusion"):
         if name == "no_codes_no_fusion":
             fields = [_with_mean_code(field) for field in fields]
-        field = _fused(run, fields, run.field.head_from_canonical, switch=True)
+        field = _fused(run, fields, run.field.head_from_canonical, SwitchedField)
         return replace(run, field=field, provenance=facts)
 
     if name == "one_surface":
@@ -86,10 +86,19 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
     return replace(run, field=field, surface=surface, provenance=facts)
 
 
+class SwitchedField(FusedField):
+    """The color does not blend: the part of the largest weight gives all of it (ablation of Eq. 9)."""
+
+    def color(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """As FusedField.color."""
+        largest = lambda at: torch.nn.functional.one_hot(self.shares(at).argmax(1), len(self.fields)).to(at.dtype)
+        return self.blend(largest, self.part_shown, points, directions)
+
+
 def _fused(
-    run: Run, fields: list[PartField], head_from_canonical: Float[Tensor, "4 4"], *, switch: bool = False
+    run: Run, fields: list[PartField], head_from_canonical: Float[Tensor, "4 4"], kind: type[FusedField] = FusedField
 ) -> FusedField:
-    field = FusedField(fields, part_boxes(run.subject), head_from_canonical, switch=switch)
+    field = kind(fields, part_boxes(run.subject), head_from_canonical)
     field.seen, field.eyes = run.field.seen, run.field.eyes
     return field.to(run.field.head_from_canonical.device).eval().requires_grad_(False)
 

@@ -5,7 +5,10 @@ import json
 import math
 import os
 import re
+import reprlib
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -37,6 +40,26 @@ def one_line(error: object) -> str:
     """What went wrong, short enough for one line of a message."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 120 else f"{text[:117]}..."
+
+
+def short(value: object, most: int = 80) -> str:
+    """A value that was found, as text for one line of a message."""
+    text = reprlib.repr(value)
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+@contextmanager
+def unusable(message: str) -> Iterator[None]:
+    """Whatever a broken file raises in the block becomes one line that begins with `message`.
+
+    Decoders of hostile bytes raise what their parts raise, a dozen kinds each.
+    """
+    try:
+        yield
+    except AssetError:
+        raise
+    except Exception as error:
+        raise AssetError(f"{message}: {one_line(error)}") from None
 
 
 def open_input(path: Path | str, what: str, *, most: int = MAX_BYTES) -> io.BufferedReader:

@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from command.errors import AssetError
-from files.input_file import MAX_BYTES, one_line, open_input, read_bytes
+from files.input_file import MAX_BYTES, one_line, open_input, read_bytes, unusable
 from files.unpickle import unpickled
 
 # an archive may be longer than memory: its members are read by name or by rows
@@ -52,7 +52,7 @@ class NpzFile:
         # a motion keeps its file open while it is played; a method of its own would keep it for ever
         weakref.finalize(self, self.file.close)
         try:
-            with _readable(f"{path}: expected {self.what}, found"):
+            with unusable(f"{path}: expected {self.what}, found"):
                 self.archive: Any = zipfile.ZipFile(self.file)
         except AssetError:
             self.close()
@@ -103,7 +103,7 @@ class NpzMember:
             yield file
 
     def _damage(self):
-        return _readable(f"{self.npz.path}: {self.name} cannot be read, the file is damaged or cut short:")
+        return unusable(f"{self.npz.path}: {self.name} cannot be read, the file is damaged or cut short")
 
     def all(self, most: int = MAX_BYTES) -> Array:
         """The whole array; refused above `most` bytes."""
@@ -179,13 +179,13 @@ def read_npy(path: Path | str, what: str) -> Array | list:
     """
     path = Path(path)
     file = io.BytesIO(read_bytes(path, f"{what} (.npy)"))
-    with _readable(f"{path}: expected {what} (.npy), found"):
+    with unusable(f"{path}: expected {what} (.npy), found"):
         header = _npy_header(file)
     if header.dtype == np.dtype(object):
         held = unpickled(file.read(), path, what)
         return held if isinstance(held, list) else [held]
     header.check(len(file.getbuffer()), f"{path}: {what}")
-    with _readable(f"{path}: expected {what} (.npy), found"):
+    with unusable(f"{path}: expected {what} (.npy), found"):
         return _array(file, header)
 
 
@@ -287,18 +287,6 @@ def _stored_at(file: io.BufferedReader, info: zipfile.ZipInfo, header: int) -> i
     file.seek(info.header_offset + 26)
     name, extra = file.read(2), file.read(2)
     return info.header_offset + 30 + int.from_bytes(name, "little") + int.from_bytes(extra, "little") + header
-
-
-@contextmanager
-def _readable(message: str) -> Iterator[None]:
-    """Whatever a damaged file raises in the block becomes one line that begins with `message`."""
-    try:
-        yield
-    except AssetError:
-        raise
-    # zipfile, zlib and NumPy's parser of headers raise a dozen kinds
-    except Exception as error:
-        raise AssetError(f"{message}: {one_line(error)}".replace("::", ":")) from None
 
 
 def _some(names: Collection[str]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from command.errors import AssetError
-from files.input_file import one_line, read_bytes
+from files.input_file import read_bytes, unusable
 
 WHAT = "a sound (.wav, PCM)"
 # samples a second
@@ -34,13 +34,9 @@ def read_wav(path: Path | str) -> Sound:
         AssetError: absent, no WAV, another encoding than PCM, no sample, or a rate that is none of a voice.
     """
     data = read_bytes(path, WHAT)
-    try:
-        with wave.open(io.BytesIO(data)) as file:
-            channels, width, rate = file.getnchannels(), file.getsampwidth(), file.getframerate()
-            held = file.readframes(file.getnframes())
-    # wave and chunk raise half a dozen kinds where lengths lie
-    except Exception as error:
-        raise AssetError(f"{path}: expected {WHAT}, found: {one_line(error)}") from None
+    with unusable(f"{path}: expected {WHAT}, found"), wave.open(io.BytesIO(data)) as file:
+        channels, width, rate = file.getnchannels(), file.getsampwidth(), file.getframerate()
+        held = file.readframes(file.getnframes())
     if not (RATES[0] <= rate <= RATES[1] and width in (1, 2, 3, 4)):
         expected = f"{RATES[0]} to {RATES[1]} samples a second of 8 to 32 bits"
         raise AssetError(f"{path}: expected {expected}, found {rate} of {8 * width}")

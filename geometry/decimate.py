@@ -67,7 +67,7 @@ def enlarged(
 def decimate(
     mesh: TriangleMesh,
     target: int,
-    parts: Sequence[Enlargement | Magnifier] | None = None,
+    parts: Sequence[Enlargement | Magnifier] = (),
     *,
     report: Callable[[str], None] = lambda line: None,
 ) -> TriangleMesh:
@@ -92,7 +92,7 @@ def decimate(
         raise ValueError(f"mesh to decimate should be closed and manifold, has {fault}")
     if len(mesh.faces) <= target:
         return mesh
-    grown = enlarged(mesh.vertices, parts or [])
+    grown = enlarged(mesh.vertices, parts)
     problems: list[str] = []
     best: tuple[float, TriangleMesh] | None = None
     for share in (*RETRIES, *FINER):
@@ -116,9 +116,7 @@ def decimate(
     lost, collapsed = best
     if lost > LOST:
         report(f"collapsing to {len(collapsed.faces)} triangles pinched off {lost * 100:.1f} % of the surface")
-    return (
-        TriangleMesh(shrunk(collapsed.vertices, grown, mesh.vertices, parts), collapsed.faces) if parts else collapsed
-    )
+    return TriangleMesh(shrunk(collapsed.vertices, grown, mesh.vertices, parts), collapsed.faces)
 
 
 # multiples of the target, in this order

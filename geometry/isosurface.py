@@ -12,14 +12,7 @@ from skimage.measure import marching_cubes
 
 from command.errors import AssetError
 from geometry.cells import distance_to, pieces
-from geometry.mesh import (
-    TriangleMesh,
-    concatenated,
-    enclosed_volume,
-    face_areas,
-    largest_component,
-    separate_pieces,
-)
+from geometry.mesh import TriangleMesh, concatenated, enclosed_volume, face_areas, largest_component, separate_pieces
 
 PointFunction = Callable[[Float[Array, "n 3"]], Array]
 # samples of a block that is asked at its centre first, and the steepest slope of a distance that is believed

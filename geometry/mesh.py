@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 from numpy import ndarray as Array
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
@@ -116,6 +116,12 @@ def compact(
     """The mesh without unreferenced vertices, and the old index of each that stays."""
     kept, renumbered = np.unique(faces, return_inverse=True)
     return TriangleMesh(vertices[kept], renumbered.reshape(-1, 3)), kept
+
+
+def restricted(mesh: TriangleMesh, own: Bool[Array, "vertices"]) -> TriangleMesh:
+    """The pieces of a mesh that these vertices make up."""
+    index = np.cumsum(own) - 1
+    return TriangleMesh(mesh.vertices[own], index[mesh.faces[own[mesh.faces[:, 0]]]])
 
 
 def largest_component(mesh: TriangleMesh) -> tuple[TriangleMesh, int, float]:

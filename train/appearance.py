@@ -15,9 +15,7 @@ MOST_RAYS = 6000
 
 
 @torch.no_grad()
-def overlap_rays(
-    fused: FusedField, index: int, rays: RayTensors
-) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+def overlap_rays(fused: FusedField, index: int, rays: RayTensors) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
     """R of Eq. 8: where rays of the body's video, all frames, meet the surface in the body's overlap with a part.
 
     Points and unit directions are canonical, each ray's direction turned by the skin where it meets the surface.

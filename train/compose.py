@@ -29,7 +29,7 @@ from capture.template.parts import part_boxes, rigid_weights
 from capture.template.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
 from geometry.harmonic import fill_reached
 from geometry.icp import Anchors, refine_by_surfaces
-from geometry.mesh import vertex_normals
+from geometry.mesh import TriangleMesh, restricted, vertex_normals
 from train.appearance import match_appearance, overlap_rays
 from train.eye_grid import OpenEyes, filmed_eyes
 from train.field import PartField
@@ -266,8 +266,7 @@ def layered_skin(
     """Weights of a surface of two layers: the body's from the template without hair, the hair's the head's."""
     skin = rigid_weights(len(vertices))
     body = layer == BODY
-    index = np.cumsum(body) - 1
-    own = CanonicalSkin(without_hair(subject)).of_mesh(vertices[body], index[faces[body[faces[:, 0]]]], normals[body])
+    own = CanonicalSkin(without_hair(subject)).of_mesh(*restricted(TriangleMesh(vertices, faces), body), normals[body])
     skin.joints[body], skin.weights[body] = own.joints, own.weights
     return skin
 

@@ -41,24 +41,14 @@ class FusedField(nn.Module):
     Colors use each part's reference code. A person of one field (a single network) has weight 1 everywhere.
 
     Round the eyes the head's distance may be the template's (`eyes`, train/eye_grid.py).
-
-    With `switch` the color does not blend: the part of the largest weight gives all of it (ablation of Eq. 9).
     """
 
     head_from_canonical: Float[Tensor, "4 4"]
 
-    def __init__(
-        self,
-        fields: Sequence[PartField],
-        parts: Sequence[Part],
-        head_from_canonical: Float[Tensor, "4 4"],
-        *,
-        switch: bool = False,
-    ):
+    def __init__(self, fields: Sequence[PartField], parts: Sequence[Part], head_from_canonical: Float[Tensor, "4 4"]):
         super().__init__()
         self.fields = nn.ModuleList(fields)
         self.parts = tuple(parts[: len(fields)])
-        self.switch = switch
         # None: the field's own distance everywhere
         self.eyes: OpenEyes | None = None
         # each part's video's, where the parts' colors are albedo; None: they are what was shown
@@ -80,7 +70,7 @@ class FusedField(nn.Module):
             field = copy.copy(self.field(index))
             field.keeps_template |= part.name in names
             fields.append(field)
-        other = FusedField(fields, self.parts, self.head_from_canonical, switch=self.switch)
+        other = FusedField(fields, self.parts, self.head_from_canonical)
         other.eyes, other.seen = self.eyes, self.seen
         return other.eval().requires_grad_(False)
 
@@ -93,13 +83,6 @@ class FusedField(nn.Module):
     def shares(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n p"]:
         """Eq. 9: weight of each part at canonical points; rows sum to 1."""
         return eq9_shares(points, self.parts)
-
-    def color_shares(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n p"]:
-        """Each part's share of the color: Eq. 9's, or with `switch` all for the part of the largest weight."""
-        shares = self.shares(points)
-        if not self.switch:
-            return shares
-        return torch.nn.functional.one_hot(shares.argmax(1), shares.shape[1]).to(shares.dtype)
 
     def blend(
         self, shares: Callable[[Tensor], Tensor], of_part: Callable[..., Tensor], *columns: Tensor,
@@ -156,16 +139,15 @@ class FusedField(nn.Module):
         """Mean S and H that surface points with these normals were seen under; 1 and 0 where light is no factor."""
         if self.seen is None:
             return torch.tensor([1.0, 0.0], device=points.device).expand(len(points), 2)
-        shares = self.color_shares(points)
         each = torch.stack([one.at(normals) for one in self.seen], 1)
-        return (shares[:, :, None] * each).sum(1)
+        return (self.shares(points)[:, :, None] * each).sum(1)
 
     def color(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """sRGB in [0, 1] of canonical points seen along unit directions (from the camera to the point).
 
         Where light is a factor of its own it is the mean of what the parts' videos saw (train/light.py).
         """
-        return self.blend(self.color_shares, self.part_shown, points, directions)
+        return self.blend(self.shares, self.part_shown, points, directions)
 
     def part_distance(self, index: int, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
         """Signed distance of one part, without the others, metres, at canonical points."""

@@ -21,6 +21,7 @@ from avatar.skeleton import JOINTS, PARTS, skin_transforms
 from capture.folder import Capture
 from capture.light.frames import light_from_video
 from command.errors import AssetError
+from command.settings import settings_json
 
 # numbers of a seen light: spherical harmonics to degree 4
 HARMONICS = 25
@@ -144,8 +145,8 @@ def seen_lights_from_json(place: str, content: Any) -> tuple["SeenLight", ...]:
 def light_facts(capture: Capture, lights: Mapping[str, VideoLight]) -> dict[str, Any]:
     """What run.json says of the lights: by video, in the world of the poses, and as seen."""
     return {
-        "light": {part: one.light.json() for part, one in lights.items()},
-        "light_world": world_light(capture, lights["body"].light).json(),
+        "light": {part: settings_json(one.light) for part, one in lights.items()},
+        "light_world": settings_json(world_light(capture, lights["body"].light)),
         # from the person towards the body's camera
         "light_camera": (-capture.videos["body"].cameras[0].camera_from_world[2, :3]).tolist(),
         "light_seen": {part: seen_light(capture, part, one) for part, one in lights.items()},

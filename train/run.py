@@ -19,7 +19,7 @@ from capture.template.layers import HAIR
 from capture.template.parts import part_boxes
 from command.errors import AssetError
 from command.settings import SettingsSource, record_of
-from files.input_file import read_json
+from files.input_file import read_json, unusable
 from files.npz import field as field_of
 from files.npz import indices, read_npz
 from train.eye_grid import OpenEyes
@@ -29,7 +29,7 @@ from train.light import seen_lights_from_json
 from train.preset import PartPreset, Preset
 from train.surface import Surface
 from train.template_grid import TemplateGrid
-from train.weight_file import read_weights, unusable
+from train.weight_file import read_weights
 
 FORMAT, VERSION = "selfscan-run", 1
 WHAT = "a trained part of a run"
@@ -105,7 +105,7 @@ def read_part(path: Path, subject: CaptureSubject, index: int, preset: PartPrese
         AssetError: the file is not such a part, or its shapes are another preset's.
     """
     content = read_weights(path, WHAT)
-    with unusable(path, WHAT):
+    with unusable(f"{path}: expected {WHAT}, found"):
         state, cell, frames = content["state"], float(content["cell"]), content["frames"]
         template = TemplateGrid(state["template.values"], state["template.low"], cell)
         build = lambda: build_field(subject, index, preset, template, frames)

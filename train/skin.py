@@ -33,9 +33,7 @@ class CanonicalSkin:
         samples = lattice_samples(self.vertices, self.faces, np.where(on_hand, 0.0015, 0.006))
         self.face, self.tree = samples.face, KDTree(samples.on(self.vertices, self.faces))
 
-    def lookup(
-        self, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]
-    ) -> tuple[SkinWeights, Bool[Array, "n"]]:
+    def lookup(self, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> tuple[SkinWeights, Bool[Array, "n"]]:
         """Weights of canonical points: of the triangles of the nearest samples the closest whose normals agree
         (dot > .5), else the closest. ok is false beyond the limit or where no normal agrees.
         """
@@ -52,14 +50,10 @@ class CanonicalSkin:
         return blend_skin(self.skin, self.faces[face], weights), agree & (gap < self.limit)
 
     def of_mesh(
-        self,
-        vertices: Float[Array, "vertices 3"],
-        faces: Int[Array, "faces 3"],
-        normals: Float[Array, "vertices 3"] | None = None,
+        self, vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], normals: Float[Array, "vertices 3"]
     ) -> SkinWeights:
         """Weights of a mesh's vertices: looked up where that is safe, harmonic over the edges elsewhere."""
-        skin, ok = self.lookup(vertices, vertex_normals(vertices, faces) if normals is None else normals)
-        return harmonic_fill(skin, ok, faces)
+        return harmonic_fill(*self.lookup(vertices, normals), faces)
 
 
 def harmonic_fill(skin: SkinWeights, known: Bool[Array, "vertices"], faces: Int[Array, "faces 3"]) -> SkinWeights:

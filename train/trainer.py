@@ -11,6 +11,7 @@ from pathlib import Path
 import torch
 
 from command.interrupt import Stopped, deferred_stop
+from files.input_file import unusable
 from files.whole import whole_file
 from train.distributed import ONE_PROCESS, Ranks
 from train.field import PartField
@@ -18,7 +19,7 @@ from train.log import TrainingLog
 from train.networks import FeatureGrid
 from train.objective import Batch, Extra, RayTensors, StepReport, beta_at, choose_rays, losses, rho_at
 from train.preset import PartPreset, Preset
-from train.weight_file import read_weights, unusable
+from train.weight_file import read_weights
 
 REPORT_EVERY = 10  # steps between rows of the log
 
@@ -124,7 +125,7 @@ def load_checkpoint(
     """
     what = "a checkpoint of this training"
     state = read_weights(path, what)
-    with unusable(path, what):
+    with unusable(f"{path}: expected {what}, found"):
         field.load_state_dict(state["field"])
         optimiser.load_state_dict(state["optimiser"])
         generator.set_state(state["generator"])

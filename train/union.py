@@ -15,6 +15,7 @@ from torch import Tensor
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
 from capture.template.surface import visible_faces
+from files.input_file import unusable
 from files.whole import whole_file
 from geometry.mesh import face_normals
 from geometry.sample import lattice_samples
@@ -22,7 +23,7 @@ from train.fused import FusedField
 from train.objective import Extra, RayTensors
 from train.preset import PartPreset, Preset
 from train.trainer import UNSAVED, UNWATCHED, Checkpoints, FieldTraining, Watch, train_field
-from train.weight_file import read_weights, unusable
+from train.weight_file import read_weights
 
 
 class ZeroLevel(NamedTuple):
@@ -161,5 +162,5 @@ def read_rays(path: Path, device: torch.device) -> RayTensors:
     """
     what = "the body's rays of this training"
     content = read_weights(path, what, device)
-    with unusable(path, what):
+    with unusable(f"{path}: expected {what}, found"):
         return RayTensors(**content)

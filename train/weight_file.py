@@ -5,16 +5,13 @@ none. It also believes what a file says of sizes: packed members, and views of a
 """
 
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from command.errors import AssetError
-from files.input_file import one_line, open_input
+from files.input_file import open_input, unusable
 
 MAX_BYTES = 1 << 36
 
@@ -25,7 +22,7 @@ def read_weights(path: Path | str, what: str, device: torch.device | str = "cpu"
     Raises:
         AssetError: absent, not a regular file, empty, damaged, of anything but data, or with tensors beyond its size.
     """
-    with unusable(path, what), open_input(path, what, most=MAX_BYTES) as file:
+    with unusable(f"{path}: expected {what}, found"), open_input(path, what, most=MAX_BYTES) as file:
         size = Path(path).stat().st_size
         # torch believes the checksums of an archive, and unpacks what is packed; before 1.6 files were no archives
         archive = zipfile.ZipFile(file) if zipfile.is_zipfile(file) else None
@@ -36,17 +33,6 @@ def read_weights(path: Path | str, what: str, device: torch.device | str = "cpu"
         if _bytes(content) > size:
             raise ValueError(f"tensors of {_bytes(content)} bytes in a file of {size}")
     return content
-
-
-@contextmanager
-def unusable(path: Path | str, what: str) -> Iterator[None]:
-    """Turns whatever a broken file, or one of another network, raises in the block into one line."""
-    try:
-        yield
-    except AssetError:
-        raise
-    except Exception as error:
-        raise AssetError(f"{path}: expected {what}, found: {one_line(error)}") from None
 
 
 def _bytes(content: Any) -> int:

@@ -66,9 +66,7 @@ def rotation_keys(axis_angle: Float[Array, "frames n 3"]) -> Float32[Array, "fra
 
 
 def _animation(builder: GltfBuilder, nodes: tuple[int, ...], clip: Clip, name: str, avatar: Avatar) -> JsonObject:
-    count = len(clip.root)
-    if not count or not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):
-        raise ValueError(f"a clip of {count} frames should have some, all finite")
+    clip.check()
     turns, moved, helpers = clip.axis_angle, [], helper_joints(avatar)
     if helpers:
         helper_turns, at = helpers.local(clip.axis_angle)
@@ -84,7 +82,7 @@ def _animation(builder: GltfBuilder, nodes: tuple[int, ...], clip: Clip, name: s
     rotations, places = rotation_keys(turns), clip.root.astype(np.float32)
     times = (np.arange(len(places)) / float(clip.rate)).astype(np.float32)
     if (np.diff(times) <= 0).any():
-        raise ValueError(f"{count} frames at {clip.rate:g} per second are more than float32 seconds can separate")
+        raise ValueError(f"{clip.frames} frames at {clip.rate:g} per second are more than float32 seconds can separate")
     every = builder.add_accessor(times, bounds=True)
     once = builder.add_accessor(times[:1], bounds=True)
     channels, samplers = [], []
@@ -106,8 +104,6 @@ def _face_keys(clip: Clip) -> tuple[Float[Array, "frames 2 3"], Float32[Array, "
     """Turns of the eyes, axis-angle, and weights of the shapes; None: they rest."""
     if clip.face is None or clip.gaze is None:
         return np.zeros((clip.frames, 2, 3)), None
-    if not (np.isfinite(clip.face).all() and np.isfinite(clip.gaze).all()):
-        raise ValueError(f"a clip of {clip.frames} frames should have some, all finite")
     turns = [eye_turn(yaw, pitch) for yaw, pitch in clip.gaze.reshape(-1, 2).tolist()]
     weights = np.clip(clip.face, 0, 1).astype(np.float32)
     return axis_angle_from_matrix(np.array(turns)).reshape(-1, 2, 3), weights

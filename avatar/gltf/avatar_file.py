@@ -25,12 +25,13 @@ from avatar.baked_avatar import (
     check_level,
 )
 from avatar.bend import BENDS
-from avatar.gltf.avatar_write import ATTRIBUTES, EXTENSION, VERSION, canonical_bones, helper_joints, write_avatar
+from avatar.gltf.avatar_write import ATTRIBUTES, EXTENSION, VERSION, bones_of, canonical_bones, write_avatar
 from avatar.gltf.document import Gltf, read_gltf
-from avatar.gltf.face import EYE_JOINTS, HEAD, read_eyes, read_face, with_eyes
+from avatar.gltf.face import read_eyes, read_face
 from avatar.gltf.scene import (
     attribute_accessors,
     base_color_image,
+    base_texture,
     node_parents,
     primitives,
     read_skin,
@@ -39,7 +40,7 @@ from avatar.gltf.scene import (
 )
 from avatar.helper_joints import CARRIER, HELPER_JOINTS
 from avatar.light import light_from_json
-from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
+from avatar.skeleton import JOINTS, rigid_inverse
 from avatar.twist import TWIST_JOINTS
 from command.errors import AssetError
 from files.input_file import JsonObject
@@ -219,6 +220,9 @@ def _level_source(gltf: Gltf, item: object, where: str) -> _Source:
     base_color = base_color_image(gltf, material)
     if base_color is None:
         raise gltf.error(f"materials[{material}]", "with a base colour texture", None)
+    texcoord = base_texture(gltf, material).get("texCoord", 0)
+    if texcoord != 0:
+        raise gltf.error(f"materials[{material}] texCoord", "0, the only texture coordinates read", texcoord)
     features = item.get("featureImage")
     if features is not None:
         features = gltf.index("images", features, f"{where}.featureImage")
@@ -282,34 +286,25 @@ def _check_skeleton(gltf: Gltf, avatar: Avatar, mesh: int) -> None:
         raise gltf.error("nodes", f"one with the finest mesh {mesh} and a skin", bearers)
     skin = read_skin(gltf, gltf.items("nodes")[bearers[0]]["skin"], field=f"nodes[{bearers[0]}].skin")
     names = [gltf.items("nodes")[node].get("name") for node in skin.nodes]
-    helpers = helper_joints(avatar)
-    eyes = EYE_JOINTS if avatar.eyes else ()
-    named = (*JOINTS, *(helpers.names if helpers else ()), *eyes)
+    named, parent_of, offsets = bones_of(avatar)
     if names != list(named):
-        count = len(named)
-        wrong = next((i for i, pair in enumerate(zip(names, named, strict=False)) if pair[0] != pair[1]), count)
-        wanted = (
-            "the 52 SMPL+H joints in order"
-            + (", then the helper joints" if helpers else "")
-            + (", then the eyes" if eyes else "")
-        )
-        expected = f"{wanted}, here {named[wrong] if wrong < count else 'their end'}"
-        raise gltf.error(f"skin joint {wrong}", expected, names[wrong] if wrong < len(names) else "absent")
+        pairs = enumerate(zip([*names, "absent"], [*named, "their end"], strict=False))
+        wrong, (found, wanted) = next(pair for pair in pairs if pair[1][0] != pair[1][1])
+        order = "the 52 SMPL+H joints in order, where it has any then the helper joints, then the eyes"
+        raise gltf.error(f"skin joint {wrong}", f"{order}, here {wanted}", found)
     parents = node_parents(gltf)
-    parent_of = [*PARENTS, *CARRIER[52 : len(named) - len(eyes)], *(HEAD for _ in eyes)]
     for joint, node in enumerate(skin.nodes[1:], start=1):
         if parents[node] != skin.nodes[parent_of[joint]]:
             raise gltf.error(f"parent of {named[joint]}", JOINTS[parent_of[joint]], f"node {parents[node]}")
     world = world_from_node(gltf)[list(skin.nodes)]
-    pose_0 = np.zeros((52, 3))
-    expected = joint_transforms(pose_0, avatar.joint_positions)
-    if helpers:
-        expected = helpers.with_helpers(pose_0, expected)
-    _check_close(gltf, "default nodes", world, with_eyes(expected, avatar), named)
+    expected = np.tile(np.eye(4), (len(named), 1, 1))
+    for bone in range(1, len(named)):
+        expected[bone, :3, 3] = expected[parent_of[bone], :3, 3] + offsets[bone]
+    _check_close(gltf, "default nodes", world, expected, named)
     _check_close(gltf, "inverse bind matrices", skin.joint_from_mesh, rigid_inverse(canonical_bones(avatar)), named)
 
 
-def _check_close(gltf: Gltf, field: str, found: Array, expected: Array, names: tuple[str, ...] = JOINTS) -> None:
+def _check_close(gltf: Gltf, field: str, found: Array, expected: Array, names: tuple[str, ...]) -> None:
     """Transforms of the joints agree to 10 micrometres (and as little rotation)."""
     error = np.abs(found - expected).max(axis=(1, 2))
     if not error.max() < 1e-5:

@@ -1,9 +1,10 @@
 """Writing the avatar file. docs/avatar-format.md describes the result; `avatar/gltf/avatar_file.py` reads it."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from avatar.baked_avatar import Avatar, Level, check_avatar
 from avatar.face import SHAPES
@@ -11,6 +12,7 @@ from avatar.gltf.face import EYE_JOINTS, HEAD, add_targets, bound_to_eyes, eye_o
 from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
 from avatar.helper_joints import CARRIER, HelperJoints
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
+from command.settings import settings_json
 from files.input_file import JsonObject
 from files.picture import encode_png
 from files.whole import whole_file
@@ -43,23 +45,47 @@ def write_avatar(path: str | Path, avatar: Avatar) -> None:
         file.write(data)
 
 
+class Bones(NamedTuple):
+    """The bones of an avatar in the order of the file's skin: the 52 joints, the helper joints, the eyes."""
+
+    names: tuple[str, ...]
+    parents: Int[np.ndarray, "bones"]  # come first
+    offsets: Float[np.ndarray, "bones 3"]  # from their parent, pose 0, metres
+
+    @property
+    def nodes(self) -> list[int]:
+        """The node of each; behind those of the 52 is the node of the mesh."""
+        return [bone + (bone >= 52) for bone in range(len(self.names))]
+
+
+def bones_of(avatar: Avatar) -> Bones:
+    """All bones of an avatar."""
+    helpers, joints, eyes = helper_joints(avatar), avatar.joint_positions, EYE_JOINTS if avatar.eyes else ()
+    names = (*JOINTS, *(helpers.names if helpers else ()))
+    parents = np.r_[PARENTS, CARRIER[52 : len(names)], [HEAD] * len(eyes)].astype(np.int64)
+    own = joints - np.where(PARENTS[:, None] >= 0, joints[PARENTS], 0)
+    offsets = np.concatenate([own, helpers.offsets if helpers else np.zeros((0, 3)), eye_offsets(avatar)])
+    return Bones((*names, *eyes), parents, offsets)
+
+
 def _avatar_bytes(avatar: Avatar) -> bytes:
-    builder = GltfBuilder()
+    builder, bones = GltfBuilder(), bones_of(avatar)
     joint_from_mesh = rigid_inverse(canonical_bones(avatar))
     skin = {
         "name": "SMPL+H",
-        "joints": _joint_nodes(avatar),
+        "joints": bones.nodes,
         "skeleton": 0,
         "inverseBindMatrices": builder.add_accessor(joint_from_mesh.astype(np.float32)),
     }
     meshes, materials, textures, levels = [], [], [], []
+    first_eye = len(bones.names) - len(avatar.eyes or ())
     for i, level in enumerate(avatar.levels):
         name = f"{avatar.name} {len(level.faces)}"
         image = builder.add_image(encode_png(level.base_color), f"{name} base colour")
         textures.append({"name": name, "sampler": 0, "source": image})
         color = {"baseColorTexture": {"index": i}, "metallicFactor": 0, "roughnessFactor": 1}
         materials.append({"name": name, "pbrMetallicRoughness": color, "extensions": {"KHR_materials_unlit": {}}})
-        primitive: JsonObject = {**_add_surface(builder, level, first_eye(avatar)), "material": i}
+        primitive: JsonObject = {**_add_surface(builder, level, first_eye), "material": i}
         meshes.append({"name": name, "primitives": [primitive]})
         levels.append({"mesh": i})
         if level.face is not None:
@@ -77,7 +103,7 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
             "extensions": {EXTENSION: _extension(avatar, levels)},
             "scene": 0,
             "scenes": [{"name": avatar.name, "nodes": [0, 52]}],
-            "nodes": _nodes(avatar),
+            "nodes": _nodes(bones, avatar.name),
             "skins": [skin],
             "meshes": meshes,
             "materials": materials,
@@ -87,37 +113,14 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
     )
 
 
-def _joint_nodes(avatar: Avatar) -> list[int]:
-    """The node of each joint; behind the 52 of the skeleton is the node of the mesh."""
-    return [*range(52), *range(53, 1 + first_eye(avatar) + len(avatar.eyes or ()))]
-
-
-def first_eye(avatar: Avatar) -> int:
-    """The number of the left eye's bone, behind all others."""
-    helpers = helper_joints(avatar)
-    return 52 + (len(helpers.names) if helpers else 0)
-
-
-def _nodes(avatar: Avatar) -> list[JsonObject]:
-    """The skeleton in pose 0, the mesh, the helper joints and the eyes."""
-    numbers, helpers = _joint_nodes(avatar), helper_joints(avatar)
+def _nodes(bones: Bones, name: str) -> list[JsonObject]:
+    """The skeleton in pose 0, the mesh called `name`, the helper joints and the eyes."""
     nodes: list[JsonObject] = []
-    for joint, name in enumerate(JOINTS):
-        parent = PARENTS[joint]
-        offset = avatar.joint_positions[joint] - (avatar.joint_positions[parent] if parent >= 0 else 0)
-        node: JsonObject = {"name": name, "translation": [float(x) for x in offset]}
-        children = [int(child) for child in np.flatnonzero(joint == PARENTS)]
-        children += [numbers[bone] for bone in np.flatnonzero(joint == CARRIER[: first_eye(avatar)]) if bone >= 52]
-        children += numbers[first_eye(avatar) :] if joint == HEAD else []
+    for bone, (own_name, offset) in enumerate(zip(bones.names, bones.offsets, strict=True)):
+        children = [bones.nodes[child] for child in np.flatnonzero(bones.parents == bone)]
+        node = {"name": own_name, "translation": [float(x) for x in offset]}
         nodes.append(node | ({"children": children} if children else {}))
-    nodes.append({"name": avatar.name, "mesh": 0, "skin": 0})
-    if helpers:
-        nodes += [
-            {"name": name, "translation": [float(x) for x in offset]}
-            for name, offset in zip(helpers.names, helpers.offsets, strict=True)
-        ]
-    eyes = zip(EYE_JOINTS, eye_offsets(avatar), strict=False)
-    return nodes + [{"name": name, "translation": [float(x) for x in offset]} for name, offset in eyes]
+    return [*nodes[:52], {"name": name, "mesh": 0, "skin": 0}, *nodes[52:]]
 
 
 def _extension(avatar: Avatar, levels: list[JsonObject]) -> JsonObject:
@@ -139,12 +142,11 @@ def _extension(avatar: Avatar, levels: list[JsonObject]) -> JsonObject:
     if avatar.eyes is not None:
         extension["face"] = eyes_json(avatar)
     if avatar.network is not None:
-        arrays = {name: values for name, values in vars(avatar.network).items() if values is not None}
-        extension["network"] = {name: _flat(values) for name, values in arrays.items()}
+        extension["network"] = {name: _flat(values) for name, values in vars(avatar.network).items()}
     if avatar.linear is not None:
         extension["linear"] = _flat(avatar.linear)
     if avatar.light is not None:
-        extension["light"] = avatar.light.json()
+        extension["light"] = settings_json(avatar.light)
     return extension
 
 

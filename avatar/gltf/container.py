@@ -2,27 +2,16 @@
 
 import base64
 import binascii
-import reprlib
 import struct
 from pathlib import Path
 from urllib.parse import unquote
 
 from command.errors import AssetError
-from files.input_file import read_bytes
+from files.input_file import read_bytes, short
 
+WHAT = "a glTF file"
 # a file, and all buffers together; text and base64 are held a few times over
 MAX_BYTES = 1 << 28
-
-
-def short(value: object) -> str:
-    """What was found, as text for one line of a message."""
-    text = reprlib.repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
-
-
-def file_bytes(path: Path) -> bytes:
-    """A regular file of bounded size, whole."""
-    return read_bytes(path, "a glTF file", most=MAX_BYTES)
 
 
 def glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
@@ -68,4 +57,4 @@ def uri_bytes(path: Path, uri: object, field: str) -> bytes:
     target = (folder / name).resolve()
     if not target.is_relative_to(folder):
         raise AssetError(f"{path}: {field} should stay inside the file's folder, is {short(uri)}")
-    return file_bytes(target)
+    return read_bytes(target, WHAT, most=MAX_BYTES)

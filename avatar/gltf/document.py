@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy import ndarray as Array
 
-from avatar.gltf.container import MAX_BYTES, file_bytes, glb_chunks, short, uri_bytes
+from avatar.gltf.container import MAX_BYTES, WHAT, glb_chunks, uri_bytes
 from command.errors import AssetError
-from files.input_file import JsonObject, parse_json
+from files.input_file import JsonObject, parse_json, read_bytes, short
 
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 ELEMENT_SHAPES = {
@@ -235,7 +235,7 @@ def read_gltf(path: str | Path) -> Gltf:
         AssetError: anything that is not as the file claims, or an extension that is required and not read.
     """
     path = Path(path)
-    data = file_bytes(path)
+    data = read_bytes(path, WHAT, most=MAX_BYTES)
     if data[:4] == b"glTF":
         text, binary = glb_chunks(path, data)
     else:

@@ -207,17 +207,13 @@ def texture_image(gltf: Gltf, texture: object, *, field: str = "texture") -> int
 
 
 def base_color_image(gltf: Gltf, material: int) -> int | None:
-    """The image of a material's base colour, laid out by TEXCOORD_0; None where it has a plain colour."""
+    """The image of a material's base colour; None where it has a plain colour."""
     texture, where = base_texture(gltf, material), f"materials[{material}].pbrMetallicRoughness.baseColorTexture"
     if not texture:
         return None
-    if texture.get("texCoord", 0) != 0:
-        raise gltf.error(f"{where}.texCoord", "0, the only texture coordinates read", texture["texCoord"])
     transform = gltf.extensions(texture, where).get("KHR_texture_transform", {})
-    if not isinstance(transform, dict) or any(
-        transform.get(key, rest) != rest
-        for key, rest in (("offset", [0, 0]), ("rotation", 0), ("scale", [1, 1]), ("texCoord", 0))
-    ):
+    plain = {"offset": [0, 0], "rotation": 0, "scale": [1, 1], "texCoord": texture.get("texCoord", 0)}
+    if not isinstance(transform, dict) or any(transform.get(key, rest) != rest for key, rest in plain.items()):
         raise gltf.error(f"{where} KHR_texture_transform", "one that moves nothing: bake it into the UVs", transform)
     return texture_image(gltf, texture.get("index"), field=f"{where}.index")
 
@@ -248,18 +244,12 @@ def read_base_color(gltf: Gltf, index: int, notes: list[str]) -> tuple[Array, Ar
     What is assumed is added to the notes.
     """
     material = material_of(gltf, index)
-    described = base_texture(gltf, index)
     coloring = _within(gltf, index, "pbrMetallicRoughness")
     factor = np.ones(4)
     if "baseColorFactor" in coloring:
         factor = gltf.numbers(coloring, "baseColorFactor", f"materials[{index}].pbrMetallicRoughness", (4,))
-    if "KHR_texture_transform" in gltf.extensions(described, f"materials[{index}].baseColorTexture"):
-        raise AssetError(
-            f"{gltf.path}: materials[{index}]: expected plain texture coordinates, found KHR_texture_transform; "
-            "bake it with a glTF tool first"
-        )
-    if "index" in described:
-        source = texture_image(gltf, described["index"], field=f"materials[{index}].baseColorTexture.index")
+    source = base_color_image(gltf, index)
+    if source is not None:
         data, _mime = gltf.image(source)
         try:
             rgba = decode_picture(data, "RGBA", formats=WITH_WEBP)

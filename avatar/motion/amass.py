@@ -59,13 +59,7 @@ def read_video_poses(path: Path, frames: int) -> Clip:
     return Clip(poses, field(path, fields, "trans", (frames, 3)).astype(np.float64), rate)
 
 
-def write_amass(
-    path: Path | str,
-    clip: Clip | Motion,
-    *,
-    up: str = "z",
-    dtype: type = np.float64,
-) -> None:
+def write_amass(path: Path | str, clip: Clip | Motion, *, up: str = "z", dtype: type = np.float64) -> None:
     """Write a clip, or a motion of any length in constant memory, with AMASS keys, whole or not at all.
 
     up="z" is what AMASS and its tools expect: the clip is turned and trans = pelvis_z - J0, with J0 the usual one
@@ -77,24 +71,19 @@ def write_amass(
     """
     if up not in ("y", "z"):
         raise ValueError(f"up should be 'y' or 'z', is {up!r}")
-    frames = clip.frames
-    if not frames:
-        raise ValueError("a clip of 0 frames should have some, all finite")
+    clip.read(0, min(1, clip.frames)).check()
     J0 = np.asarray(USUAL_PELVIS if up == "z" else np.zeros(3), np.float64)
 
     def rows(start: int, stop: int) -> dict[str, Array]:
         """Poses and trans of some frames."""
         part = clip.read(start, stop)
+        part.check()
         pose, root = np.array(part.axis_angle, np.float64), np.asarray(part.root, np.float64)
-        if not (np.isfinite(pose).all() and np.isfinite(root).all()):
-            raise ValueError(f"a clip of {frames} frames should have some, all finite")
         if up == "z":
             pose[:, 0] = turned(pose[:, 0], quaternion_inverse(np.array(TURNS["+z"])))
             root = np.stack([root[:, 0], -root[:, 2], root[:, 1]], -1)
         out = {"poses": pose.reshape(len(pose), 156).astype(dtype), "trans": (root - J0).astype(dtype)}
         if part.face is not None and part.gaze is not None:
-            if not (np.isfinite(part.face).all() and np.isfinite(part.gaze).all()):
-                raise ValueError(f"a clip of {frames} frames should have some, all finite")
             out |= {"face": part.face.astype(dtype), "gaze": part.gaze.astype(dtype)}
         return out
 
@@ -108,7 +97,7 @@ def write_amass(
     if clip.pelvis_height is not None:
         fields["pelvis_height"] = np.array(float(clip.pelvis_height))
     shapes = {name: first.shape[1:] for name, first in rows(0, 1).items()}
-    _write_members(path, frames, rows, shapes, fields, np.dtype(dtype))
+    _write_members(path, clip.frames, rows, shapes, fields, np.dtype(dtype))
 
 
 def _write_members(

@@ -45,8 +45,7 @@ def write_bvh(path: Path | str, motion: Clip | Motion, joints: Float[Array, "52 
     if not (np.isfinite(unit) and unit > 0):
         raise ValueError(f"unit should be positive metres, is {unit}")
     count = motion.frames
-    if count < 1:
-        raise ValueError("a motion should have at least one frame, has none")
+    motion.read(0, min(1, count)).check()
     with whole_file(path, "w") as file:
         rest = np.asarray(joints, np.float64) + [0, motion.pelvis_height or 0, 0]
         order = _write_hierarchy(file, rest / unit, unit)
@@ -54,8 +53,7 @@ def write_bvh(path: Path | str, motion: Clip | Motion, joints: Float[Array, "52 
         before = np.zeros((52, 3))
         for first in range(0, count, BLOCK):
             clip = motion.read(first, min(first + BLOCK, count))
-            if not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):
-                raise ValueError("a motion should be finite, is not")
+            clip.check()
             angles = euler_zxy(matrix_from_axis_angle(clip.axis_angle), before)
             before = angles[-1]
             turns = np.degrees(angles)[:, order].reshape(len(angles), 156)

@@ -44,6 +44,12 @@ class Clip:
             return None
         return FaceFrame(self.face[frame], self.gaze[frame])
 
+    def check(self) -> None:
+        """Refuse a clip without frames, or with a number that is not finite, with a ValueError."""
+        rows = (self.axis_angle, self.root, self.face, self.gaze)
+        if not self.frames or not all(row is None or np.isfinite(row).all() for row in rows):
+            raise ValueError(f"a clip of {self.frames} frames should have some, all finite")
+
     def read(self, start: int, stop: int) -> "Clip":
         """Frames start .. stop - 1, as `Motion.read` gives them."""
         face = None if self.face is None else self.face[start:stop]

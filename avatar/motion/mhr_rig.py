@@ -167,18 +167,13 @@ def mhr_alignment(ours: Float[Array, "52 3"]) -> Alignment:
                 A[f"{side}_{finger}{k + 1}"] = _hinged(ours[J[b]] - ours[J[a]], axis, side)
         A[f"{side}_wrist"] = rest_palm(ours, side).T
         for name, rest in (("collar", _COLLAR), ("ankle", _ANKLE), ("foot", _TOES)):
-            A[f"{side}_{name}"] = mirrored_rest(rest, side).T
+            A[f"{side}_{name}"] = (rest if side == "left" else np.diag(MIRROR) @ rest).T
     return Alignment(A, column)
 
 
 def sign(side: str) -> float:
     """Which way a side's bones run along x."""
     return 1.0 if side == "left" else -1.0
-
-
-def mirrored_rest(left: Float[Array, "3 3"], side: str) -> Float[Array, "3 3"]:
-    """Axes at rest of one side from the left's."""
-    return left if side == "left" else -np.diag([-1.0, 1, 1]) @ left
 
 
 def mirrored(left: Float[Array, "3 3"], side: str) -> Float[Array, "3 3"]:

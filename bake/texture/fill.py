@@ -26,6 +26,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.sparse import csr_matrix, diags
 from scipy.spatial import KDTree
 
+from bake.texture.texture_solve import laplacian
 from geometry.least_squares import factorised
 from geometry.mesh import TriangleMesh, blended, half_edges
 
@@ -203,8 +204,4 @@ def _stiffness(mesh: TriangleMesh) -> csr_matrix:
     pairs = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
     length = np.linalg.norm(mesh.vertices[pairs[:, 0]] - mesh.vertices[pairs[:, 1]], axis=1)
     stiff = np.clip(np.median(length) / np.maximum(length, 1e-9), 0.1, 10)
-    count = len(mesh.vertices)
-    k = csr_matrix(
-        (np.r_[stiff, stiff], (np.r_[pairs[:, 0], pairs[:, 1]], np.r_[pairs[:, 1], pairs[:, 0]])), (count, count)
-    )
-    return csr_matrix(diags(np.asarray(k.sum(1)).ravel()) - k)
+    return laplacian(pairs, stiff, len(mesh.vertices))

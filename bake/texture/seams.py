@@ -171,7 +171,8 @@ def solve_seams(
         return image
     chain = _chain(uv, edges, texels.size, levels)
     unknowns = _unknowns(chain, texels, image)
-    solved = _descended(chain, unknowns, _differences(chain, image))
+    differences = [mip.reads @ values for mip, values in zip(chain, _values(chain, image), strict=True)]
+    solved = _descended(chain, unknowns, differences)
     result = image.copy()
     moved = result.reshape(-1, image.shape[-1])
     moved[unknowns.texel] = unknowns.texels_at(solved, moved[unknowns.texel])
@@ -181,7 +182,7 @@ def solve_seams(
 def _descended(
     chain: list[_Mip], unknowns: _Unknowns, differences: list[Float[Array, "_ channels"]]
 ) -> Float[Array, "unknowns channels"]:
-    """The unknowns after DESCENT steps from the given image, whose `differences` these are.
+    """The unknowns after DESCENT steps from the given image; `differences` are what it reads left less right of edges.
 
     Accelerated projected gradients (Nesterov 1983), scaled by the diagonal and restarted where they turn uphill
     (O'Donoghue and Candes 2015): every step ends within the bounds.
@@ -214,11 +215,6 @@ def _largest_eigenvalue(
         vector = (keep * vector + _spread_back(chain, [mip.reads @ v for mip, v in _means(chain, vector)])) / diagonal
         value = float(np.linalg.norm(np.sqrt(diagonal) * vector))
     return 1.1 * value
-
-
-def _differences(chain: list[_Mip], image: Float[Array, "height width channels"]) -> list[Float[Array, "_ channels"]]:
-    """Left side minus right side of the points on edges in each mip of an image, times what they count."""
-    return [mip.reads @ values for mip, values in zip(chain, _values(chain, image), strict=True)]
 
 
 def _values(

@@ -141,16 +141,16 @@ def barycentric(
     p = np.stack([column, row], 1) + 0.5 + jitter - corners[:, 0]
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     determinant = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]
-    longest = np.maximum((e1**2).sum(1), (e2**2).sum(1))
+    one, other = (e1**2).sum(1), (e2**2).sum(1)
+    longest, first = np.maximum(one, other), one >= other
     flat = np.abs(determinant) < 1e-3 * longest + 1e-9
     safe = np.where(flat, 1.0, determinant)
     b = (p[:, 0] * e2[:, 1] - p[:, 1] * e2[:, 0]) / safe
     c = (e1[:, 0] * p[:, 1] - e1[:, 1] * p[:, 0]) / safe
     result = np.stack([1 - b - c, b, c], 1)
     # a degenerate triangle: along its longer side
-    side = np.where((((e1**2).sum(1)) >= ((e2**2).sum(1)))[:, None], e1, e2)
+    side = np.where(first[:, None], e1, e2)
     along = np.clip((p * side).sum(1) / np.maximum((side**2).sum(1), 1e-12), 0, 1)
-    first = ((e1**2).sum(1)) >= ((e2**2).sum(1))
     line = np.stack([1 - along, np.where(first, along, 0), np.where(first, 0, along)], 1)
     result[flat] = line[flat]
     outside = np.flatnonzero((result[:, 0] < 0) | (result[:, 1] < 0) | (result[:, 2] < 0))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Integer
 from numpy import ndarray as Array
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csgraph, csr_matrix, diags
 
 from bake.texture.texels import TexelMap
 from command.workers import on_all_cores
@@ -58,12 +58,10 @@ def neighbour_pairs(texels: TexelMap) -> Integer[Array, "pairs 2"]:
 
 
 def laplacian(pairs: Integer[Array, "pairs 2"], weight: Float[Array, "pairs"], count: int) -> csr_matrix:
-    """sum over pairs of weight (x_i - x_j)^2 = x^T L x."""
-    first, second = pairs.T
-    weight = weight.astype(np.float32)
-    rows, columns = np.r_[first, second], np.r_[second, first]
-    off = csr_matrix((np.r_[-weight, -weight], (rows, columns)), (count, count))
-    return csr_matrix(diags(-np.asarray(off.sum(1)).ravel().astype(np.float32)) + off)
+    """sum over pairs of weight (x_i - x_j)^2 = x^T L x, float32."""
+    rows, columns = np.r_[pairs, pairs[:, ::-1]].T
+    joined = csr_matrix((np.r_[weight, weight].astype(np.float32), (rows, columns)), (count, count))
+    return csr_matrix(csgraph.laplacian(joined))
 
 
 def solve_change(
@@ -73,9 +71,8 @@ def solve_change(
     *,
     stiff: Equations | None = None,
     rounds: int = ROUNDS,
-    report: Callable[[int, float], None] = lambda number, residual: None,
 ) -> Float[Array, "texels channels"]:
-    """The change d of the atlas, float32; `report` gets each round's residual relative to the first.
+    """The change d of the atlas, float32.
 
     `stiff` are equations of few texels each, as those of agreement: they are solved for as a whole in each round.
     """
@@ -95,7 +92,7 @@ def solve_change(
             result += part
         return result
 
-    return conjugate_gradients(apply, precondition, residual, rounds, report)
+    return conjugate_gradients(apply, precondition, residual, rounds)
 
 
 def row_blocks(matrix: csr_matrix, columns: int) -> list[csr_matrix]:
@@ -115,21 +112,18 @@ def conjugate_gradients(
     precondition: Callable[[Array], Array],
     residual: Float[Array, "texels channels"],
     rounds: int,
-    report: Callable[[int, float], None],
 ) -> Float[Array, "texels channels"]:
     """Some rounds from zero towards apply(change) = residual, which is used up."""
     change = np.zeros_like(residual)
     scaled = precondition(residual)
     ahead, energy = scaled.copy(), (residual * scaled).sum(0)
-    first = np.maximum(energy, 1e-30)
-    for number in range(rounds):
+    for _ in range(rounds):
         moved = apply(ahead)
         step = energy / np.maximum((ahead * moved).sum(0), 1e-30)
         change += step * ahead
         residual -= step * moved
         scaled = precondition(residual)
         before, energy = energy, (residual * scaled).sum(0)
-        report(number, float(np.sqrt((energy / first).max())))
         ahead = scaled + (energy / np.maximum(before, 1e-30)) * ahead
     return change
 

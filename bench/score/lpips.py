@@ -19,7 +19,8 @@ from torch import Tensor, nn
 
 from bench.score.metrics import Score, check_images
 from command.errors import AssetError
-from train.weight_file import read_weights, unusable
+from files.input_file import unusable
+from train.weight_file import read_weights
 
 # index in torchvision's `features`, in channels, out channels, kernel, stride, padding, max-pooled before
 CONVOLUTIONS = (
@@ -82,7 +83,7 @@ def read_perceptual(paths: Sequence[Path]) -> Perceptual:
     found: dict[str, Tensor] = {}
     for path in paths:
         content = read_weights(path, WHAT)
-        with unusable(path, WHAT):
+        with unusable(f"{path}: expected {WHAT}, found"):
             found |= {str(name): value for name, value in dict(content).items()}
     names = " and ".join(str(path) for path in paths)
     network = Perceptual()

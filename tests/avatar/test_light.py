@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from avatar.light import CaptureLight, Lamp, lamps_of, light_from_json
+from command.settings import settings_json
 from synth.light import light_of, shade
 
 FRONT = (0.6, 0.0, 0.8)
@@ -57,7 +58,7 @@ def test_a_lamp_lights_nothing_that_faces_away_and_turns_with_the_surface():
     assert turned.frame == "camera"
     np.testing.assert_allclose(turned.shading(normals @ R.T), LIGHT.shading(normals), atol=1e-12)
     np.testing.assert_allclose(turned.highlight(normals @ R.T, eyes @ R.T), LIGHT.highlight(normals, eyes), atol=1e-12)
-    assert light_from_json(json.loads(json.dumps(LIGHT.json()))) == LIGHT
+    assert light_from_json(json.loads(json.dumps(settings_json(LIGHT)))) == LIGHT
 
 
 @pytest.mark.parametrize(
@@ -80,4 +81,4 @@ def test_a_lamp_lights_nothing_that_faces_away_and_turns_with_the_surface():
 )
 def test_what_is_no_light_is_refused(change, message):
     with pytest.raises(ValueError, match=re.escape(message)):
-        light_from_json({**LIGHT.json(), **change})
+        light_from_json({**settings_json(LIGHT), **change})

@@ -23,7 +23,6 @@ from avatar.rotation import (
     axis_angle_from_quaternion,
     matrix_from_axis_angle,
     matrix_from_quaternion,
-    nearest_axis_angle,
     nearest_rotation,
     quaternion_from_axis_angle,
     quaternion_from_matrix,
@@ -32,6 +31,7 @@ from avatar.rotation import (
     slerp,
 )
 from avatar.skinning import skin_points
+from experiments.builtin_motions import nearest_axis_angle
 
 
 @pytest.fixture

@@ -80,7 +80,7 @@ def test_files_whose_twist_joints_are_not_ours_are_refused(path, tmp_path):
     def moved(document):
         document["nodes"][60]["translation"][0] += 0.01
 
-    with pytest.raises(AssetError, match=r"skin joint 59 .*then the helper joints, here left_forearm_twist7"):
+    with pytest.raises(AssetError, match=r"skin joint 59 .*then the eyes, here left_forearm_twist7"):
         read_avatar(spoilt(renamed))
     with pytest.raises(AssetError, match="default nodes of left_forearm_twist7"):
         read_avatar(spoilt(moved))

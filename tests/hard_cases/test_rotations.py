@@ -8,11 +8,11 @@ from avatar.rotation import (
     axis_angle_from_matrix,
     axis_angle_from_quaternion,
     matrix_from_axis_angle,
-    nearest_axis_angle,
     normalised_quaternion,
     quaternion_from_axis_angle,
     slerp,
 )
+from experiments.builtin_motions import nearest_axis_angle
 
 AXES = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, -2, 3], [1e-3, 1, -1e-3], [-1, -1, -1], [1, 1, 0]])
 AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)

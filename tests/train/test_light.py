@@ -14,6 +14,7 @@ from avatar.skeleton import PARTS
 from capture.folder import read_capture
 from capture.template.parts import Box, Part
 from command.errors import AssetError
+from command.settings import settings_json
 from train.command import TrainOptions
 from train.deform import canonical_directions, posed_directions
 from train.field import TEMPLATE_SHARE
@@ -155,7 +156,7 @@ def test_the_paper_has_no_light_factor_and_older_runs_have_no_lights(tmp_path):
     assert bare.hair == HairPreset() != options().hair and not bare.clothes and bare.parts == options().parts
     assert options(preset="paper", without=("light", "hair", "clothes")) == options(preset="paper")
     assert lights_of(Path("run"), {}) == lights_of(Path("run"), {"light": None}) == {}
-    told = {"light": {part: LIGHT.json() for part in PARTS}}
+    told = {"light": {part: settings_json(LIGHT) for part in PARTS}}
     assert lights_of(Path("run"), told) == dict.fromkeys(PARTS, LIGHT)
 
 
@@ -165,9 +166,15 @@ LIGHT = CaptureLight(0.5, LAMPS)
 @pytest.mark.parametrize(
     ("light", "message"),
     [
-        ({"body": LIGHT.json()}, r"run.json: light should hold body, head, hand_left, hand_right or be null, is \['bo"),
+        (
+            {"body": settings_json(LIGHT)},
+            r"run.json: light should hold body, head, hand_left, hand_right or be null, is \['bo",
+        ),
         ("fixed", "run.json: light should hold .* is 'fixed'"),
-        ({part: {**LIGHT.json(), "gamma": 9} for part in PARTS}, "run.json: light: gamma: expected at most 4, found 9"),
+        (
+            {part: {**settings_json(LIGHT), "gamma": 9} for part in PARTS},
+            "run.json: light: gamma: expected at most 4, found 9",
+        ),
     ],
 )
 def test_lights_that_are_none_are_refused(light, message):

@@ -24,19 +24,24 @@ from train.preset import DEMO, ITEMS, PRESETS, Preset
 from train.session import FILE, capture_digest, exclusive_lock, open_session
 from train.stages import train
 
-DRIVER = Path(__file__).parents[1] / "hands_training.py"
+TESTS = Path(__file__).parents[1]
+DRIVER = TESTS / "hands_training.py"
 HANDS = ("hand_left", "hand_right")
 # seconds after which a process is no longer slow, on a machine however busy
 HANGS = 900
 
 
-def start(capture: Path, out: Path, *options: str) -> subprocess.Popen:
-    """A training in a process group of its own, as a shell starts it."""
+def start(script: Path, *arguments: object, runner: tuple[str, ...] = (), **environment: str) -> subprocess.Popen:
+    """A script in a process group of its own, as a shell starts it."""
     return subprocess.Popen(
-        [sys.executable, str(DRIVER), str(capture), "-o", str(out), *options],
+        [sys.executable, *runner, str(script), *map(str, arguments)],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(DRIVER.parents[1])},
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": f"{TESTS.parent}{os.pathsep}{TESTS}", **environment},
     )  # fmt: skip
+
+
+def start_training(capture: Path, out: Path, *options: str) -> subprocess.Popen:
+    return start(DRIVER, capture, "-o", out, *options)
 
 
 def finish(process: subprocess.Popen, code: int) -> str:
@@ -77,7 +82,7 @@ def until_learning(process: subprocess.Popen, out: Path) -> None:
 @pytest.fixture(scope="module")
 def never_stopped(tiny_capture, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("whole") / "run"
-    finish(start(tiny_capture, out), 0)
+    finish(start_training(tiny_capture, out), 0)
     return out
 
 
@@ -101,7 +106,7 @@ def test_a_training_stopped_by_a_signal_and_resumed_equals_one_never_stopped(
 ):
     """A terminal's Ctrl-C reaches parent and workers; `kill` the parent alone."""
     out = tmp_path / "run"
-    process = start(tiny_capture, out)
+    process = start_training(tiny_capture, out)
     until_learning(process, out)
     (os.killpg if group else os.kill)(process.pid, number)
     said = finish(process, 128 + number)
@@ -111,19 +116,19 @@ def test_a_training_stopped_by_a_signal_and_resumed_equals_one_never_stopped(
         state = torch.load(tmp_path / f"run.partial/{name}.ckpt", weights_only=True)
         assert 10 <= state["position"]["iteration"] < 240
     assert not out.exists()
-    finish(start(tiny_capture, out, "--resume"), 0)
+    finish(start_training(tiny_capture, out, "--resume"), 0)
     assert_equal_runs(never_stopped, out)
 
 
 @pytest.mark.slow
 def test_a_training_whose_parent_was_killed_saves_itself_and_goes_on(tiny_capture, never_stopped, tmp_path):
     out = tmp_path / "run"
-    process = start(tiny_capture, out, "--save-every", "3600")
+    process = start_training(tiny_capture, out, "--save-every", "3600")
     until_learning(process, out)
     kill(process, process.kill)
     checkpoints = [tmp_path / f"run.partial/{name}.ckpt" for name in HANDS]
     until(lambda: all(path.exists() for path in checkpoints))
-    finish(start(tiny_capture, out, "--resume"), 0)
+    finish(start_training(tiny_capture, out, "--resume"), 0)
     assert_equal_runs(never_stopped, out)
 
 
@@ -131,14 +136,14 @@ def test_a_training_whose_parent_was_killed_saves_itself_and_goes_on(tiny_captur
 def test_after_a_power_loss_a_periodic_checkpoint_goes_on(tiny_capture, never_stopped, tmp_path):
     """All processes killed at once; rows logged after the checkpoint are not doubled."""
     out = tmp_path / "run"
-    process = start(tiny_capture, out, "--save-every", "0.2")
+    process = start_training(tiny_capture, out, "--save-every", "0.2")
     until_learning(process, out)
     checkpoints = [tmp_path / f"run.partial/{name}.ckpt" for name in HANDS]
     until(lambda: all(path.exists() for path in checkpoints), process)
     kill(process, lambda: os.killpg(process.pid, signal.SIGKILL))
     log = tmp_path / "run.partial/logs/hand_left.csv"
     log.write_text(log.read_text() + "230,1.0")  # a row that the power loss cut short
-    finish(start(tiny_capture, out, "--resume", "--save-every", "0.2"), 0)
+    finish(start_training(tiny_capture, out, "--resume", "--save-every", "0.2"), 0)
     assert_equal_runs(never_stopped, out)
 
 
@@ -232,11 +237,6 @@ def test_unknown_networks_are_refused_by_name(networks):
         read(content)
 
 
-def rows_of(path):
-    with open(path, newline="") as file:
-        return list(csv.reader(file))
-
-
 def log_steps(folder, begin, steps):
     log = TrainingLog(folder, "head")
     log.begin(begin)
@@ -253,17 +253,17 @@ def test_a_resumed_log_has_every_step_once(tmp_path):
     path.write_text(path.read_text() + "80,9.9")
     log_steps(tmp_path / "halves", 50, range(60, 110, 10))
     assert path.read_text() == (tmp_path / "whole" / "head.csv").read_text()
-    assert rows_of(path)[:2] == [["step", "seconds", "rate", "loss", "psnr"], ["10", "1.250", "0.5", "0.1", "30"]]
+    assert rows(path)[0] == {"step": "10", "seconds": "1.250", "rate": "0.5", "loss": "0.1", "psnr": "30"}
 
 
 def test_a_log_begun_anew_holds_nothing_old_and_rows_are_on_the_disk_when_written(tmp_path):
     log_steps(tmp_path, 0, [10, 20])
     log_steps(tmp_path, 0, [10])
-    assert [row[0] for row in rows_of(tmp_path / "head.csv")] == ["step", "10"]
+    assert [row["step"] for row in rows(tmp_path / "head.csv")] == ["10"]
     log = TrainingLog(tmp_path, "head")
     log.begin(0)
     log.row(10, 1.0, 1.0, {"loss": float("nan")})
-    assert rows_of(tmp_path / "head.csv")[1] == ["10", "1.000", "1", "nan"]
+    assert list(rows(tmp_path / "head.csv")[0].values()) == ["10", "1.000", "1", "nan"]
     log.close()
 
 
@@ -276,17 +276,7 @@ def test_a_log_of_other_columns_is_refused(tmp_path):
     log.close()
 
 
-TESTS = Path(__file__).parents[1]
-
-
-# seconds after which a process is no longer slow, on a machine however busy
-def run(command: list[str], **environment: str) -> None:
-    env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": f"{TESTS.parent}{os.pathsep}{TESTS}", **environment}
-    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=HANGS)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-TORCHRUN = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+TORCHRUN = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2")
 
 
 @pytest.mark.slow
@@ -298,9 +288,9 @@ def test_two_processes_equal_one_after_a_dozen_steps(tmp_path):
     1/c of their sum, a step differs by 63 eps c rate = 3e-17 c, with rate = 4e-3. For c up to a thousand, and
     twelve steps that act on each other, that stays below 1e-12 (measured 6e-16, of weights that moved by 1e-2).
     """
-    script = str(TESTS / "ranks_training.py")
-    run([sys.executable, script, str(tmp_path / "one.pt")])
-    run([*TORCHRUN, script, str(tmp_path / "two.pt")])
+    script = TESTS / "ranks_training.py"
+    finish(start(script, tmp_path / "one.pt"), 0)
+    finish(start(script, tmp_path / "two.pt", runner=TORCHRUN), 0)
     one, two = (torch.load(tmp_path / name, weights_only=True) for name in ("one.pt", "two.pt"))
     assert two["count"] == 2 and one["count"] == 1
     moved = 0.0
@@ -314,10 +304,10 @@ def test_two_processes_equal_one_after_a_dozen_steps(tmp_path):
 @pytest.mark.slow
 def test_torchrun_trains_from_the_command_line_like_one_process(tiny_capture, tmp_path):
     """float32, where Adam's first steps turn rounding of vanishing gradients into whole steps: the loss, not bits."""
-    driver = str(TESTS / "hands_training.py")
-    run([sys.executable, driver, str(tiny_capture), "-o", str(tmp_path / "one")], SELFSCAN_TEST_STEPS="12")
-    run([*TORCHRUN, driver, str(tiny_capture), "-o", str(tmp_path / "two")], SELFSCAN_TEST_STEPS="12")
-    for name in ("hand_left", "hand_right"):
+    for out, runner in (("one", ()), ("two", TORCHRUN)):
+        arguments = (tiny_capture, "-o", tmp_path / out)
+        finish(start(DRIVER, *arguments, runner=runner, SELFSCAN_TEST_STEPS="12"), 0)
+    for name in HANDS:
         logs = [(tmp_path / run / f"logs/{name}.csv").read_text().splitlines() for run in ("one", "two")]
         assert len(logs[1]) == 3  # header, step 10, step 12: one rank wrote
         for first, second in zip(*(log[1:] for log in logs), strict=True):

@@ -15,7 +15,7 @@ from avatar.skeleton import PARTS
 from capture.template.parts import Box, Part, part_boxes
 from capture.template.surface import surface_cloud, visible_faces
 from command.errors import AssetError
-from experiments.variants import VARIANTS, seam_steps, variant
+from experiments.variants import VARIANTS, SwitchedField, seam_steps, variant
 from train.appearance import match_appearance, overlap_rays
 from train.field import unit_normals
 from train.fused import FusedField
@@ -193,8 +193,8 @@ def test_eq9_blends_linearly_a_switch_jumps_in_its_middle_and_eq8_of_one_frame_s
     body, head = (fused.part_color(i, points, directions) for i in (0, 1))
     share = (points[:, :1] + 0.05) / 0.1
     torch.testing.assert_close(fused.color(points, directions), body * (1 - share) + head * share)
-    fused.switch = True
-    torch.testing.assert_close(fused.color(points, directions), torch.where(share > 0.5, head, body))
+    switched = SwitchedField([fused.field(0), fused.field(1)], fused.parts, fused.head_from_canonical)
+    torch.testing.assert_close(switched.color(points, directions), torch.where(share > 0.5, head, body))
     head = fused.field(1)
     head.appearance.weight.data = head.appearance.weight.data[:1].clone()
     _, after = match_appearance(fused, 1, points, directions, replace(TINY, appearance_steps=5), 0)
