@@ -13,6 +13,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
+from typing import Any
 
 # a change of bytes by the fuzzer itself
 Plain = Callable[[bytes], bytes]
@@ -31,7 +32,7 @@ NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 MOST = 1 << 16
 
 
-def places(value: object) -> list[tuple]:
+def places(value: Any) -> list[tuple]:
     """(holder, key) of what is in a value of JSON, the outermost first; at most some thousand."""
     found, holders = [], [value]
     for holder in holders:

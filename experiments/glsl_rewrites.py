@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
 from typing import NamedTuple
+from unittest.mock import patch
 from zlib import crc32
 
 import moderngl
@@ -254,9 +255,6 @@ def rewriting(plan: Plan):
         stages = plan.rewritten(vertex_shader), plan.rewritten(fragment_shader)
         return plain(self, vertex_shader=stages[0], fragment_shader=stages[1], **more)
 
-    moderngl.Context.program = program
-    player.web.essl.essl = lambda source: plan.rewritten(essl(source))
-    try:
+    anew = lambda source: plan.rewritten(essl(source))
+    with patch.object(moderngl.Context, "program", program), patch.object(player.web.essl, "essl", anew):
         yield plan
-    finally:
-        moderngl.Context.program, player.web.essl.essl = plain, essl

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import rankdata
 
 from avatar.camera import project
-from avatar.skeleton import JOINTS, PARTS, joint_transforms, skin_transforms
+from avatar.skeleton import PARTS, joint_transforms, skin_transforms
 from avatar.skinning import skin_points
 from capture.fit.points import body_points
 from capture.fit.scan import fit_scan

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
 import moderngl
 import numpy as np
@@ -174,11 +175,9 @@ def noted() -> Iterator[tuple[set[str], list[tuple[str, str]]]]:
         stages.append((vertex_shader, fragment_shader))
         return program(self, vertex_shader=vertex_shader, fragment_shader=fragment_shader, **more)
 
-    player.gl.shader.shader_source, moderngl.Context.program = shader_source, compiled
-    try:
+    with (patch.object(player.gl.shader, "shader_source", shader_source),
+          patch.object(moderngl.Context, "program", compiled)):  # fmt: skip
         yield names, stages
-    finally:
-        player.gl.shader.shader_source, moderngl.Context.program = read, program
 
 
 def difference(context: Context, name: str, plan: Plan, plain: np.ndarray) -> np.ndarray:
