@@ -19,7 +19,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import KDTree
 from torch import Tensor, nn
 
-from avatar.camera import Camera
+from avatar.camera import Camera, project
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import skin_normals, skin_points
 from bench.field.posed_field import MaskedPicture
@@ -29,6 +29,7 @@ from capture.template.parts import part_boxes
 from capture.template.surface import SurfaceCloud, signed, surface_cloud, visible_faces
 from command.errors import AssetError
 from experiments.rivals.single import joined_cloud
+from geometry.cells import distance_to
 from geometry.isosurface import zero_set_mesh
 from geometry.mesh import TriangleMesh, largest_component
 from train.deform import positional_encoding
@@ -40,8 +41,6 @@ from train.run import matrix_of, read_facts
 
 # per metre: a density from which on a mesh is solid, as the authors' code extracts it (mesh_th)
 SOLID = 50.0
-# sections of a ray in a picture for one in training: a picture's rays are not jittered
-FINER = 2
 
 
 class PosedRays(NamedTuple):
@@ -347,9 +346,19 @@ def draw(
     """The person on black in a pose (angles and root), a ray through the middle of each pixel of `where`."""
     width, height = camera.size
     picture = MaskedPicture(np.zeros((height, width, 3), np.float32), np.zeros((height, width), bool))
-    pixels = np.argwhere(np.ones((height, width), bool) if where is None else where)
     filmed = person.filmed(*pose, camera)
-    rays = posed_rays(filmed, filmed.posed(0), 0, pixels, person.bands, FINER * person.preset.sections + 2)
+    posed = filmed.posed(0)
+    at, depth = project(camera, posed.samples.points)
+    column, row = np.floor(at[depth > 0]).astype(int).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    if not inside.any():
+        return picture
+    covered = np.zeros((height, width), bool)
+    covered[row[inside], column[inside]] = True
+    # twice as far: the person is nearer to the camera than its middle here and there
+    close = distance_to(covered) < 2 * max(filmed.reach(0, posed, person.bands[0]), 4.0)
+    pixels = np.argwhere(close if where is None else close & where)
+    rays = posed_rays(filmed, posed, 0, pixels, person.bands, person.preset.sections + 2)
     if rays is None:
         return picture
     frame = person.frame(rays, pose[0])

@@ -99,20 +99,23 @@ def in_fitted_poses(views: dict[str, list[HeldOutView]], run: Path, kept: Path) 
     }  # fmt: skip
 
 
+def held_out(folder: Path, poses: int) -> dict[str, list[HeldOutView]]:
+    """The views of so many poses of each set, evenly spread; novel poses that are T-poses are none."""
+    views = {name: read_held_out(folder, name) for name in SETS}
+    views["novel_pose"] = [view for view in views["novel_pose"] if not is_t_pose(view)]
+    return {name: some_poses(own, poses) for name, own in views.items()}
+
+
 def scores(what: Judged, folder: Path, poses: int, fitted: tuple[Path, Path] | None) -> dict[str, Any]:
     """{"novel_pose": {region: {metric: number}}, "novel_view": ...}; `fitted`: the run whose template poses are fitted
     with, and the file that keeps them."""
-    truth = read_true_mesh(folder)
-    views = {name: some_poses(read_held_out(folder, name), poses) for name in SETS}
+    truth, views = read_true_mesh(folder), held_out(folder, poses)
     ours = views if fitted is None else in_fitted_poses(views, *fitted)
     out: dict[str, Any] = {}
     for name, true in views.items():
-        apart = name == "novel_pose"
         judge = PictureJudge(truth, what.draw)
-        images = score_images(judge, true, f"{name} pictures", t_pose_apart=apart, ours=ours[name])
-        kept = [i for i, view in enumerate(true) if not (apart and is_t_pose(view))]
-        moving, own = [true[i] for i in kept], [ours[name][i] for i in kept]
-        placements = same_poses(moving) if fitted is None else fitted_poses(moving, own)
+        images = score_images(judge, true, f"{name} pictures", t_pose_apart=False, ours=ours[name])
+        placements = same_poses(true) if fitted is None else fitted_poses(true, ours[name])
         found = regions_of(distances(what, truth, placements), images.scored)
         out[name] = {region: {key: found[region].get(key) for key in SCORES} for region in REGIONS}
     return out
@@ -120,11 +123,10 @@ def scores(what: Judged, folder: Path, poses: int, fitted: tuple[Path, Path] | N
 
 def write_pictures(what: Judged, folder: Path, out: Path, fitted: tuple[Path, Path] | None, poses: int) -> None:
     """Face, left hand and the whole person in one new pose, truth and drawn: OUT_VIEW.png and OUT_VIEW_truth.png."""
-    views = {name: some_poses(read_held_out(folder, name), poses) for name in SETS}
+    views = held_out(folder, poses)
     ours = views if fitted is None else in_fitted_poses(views, *fitted)
-    bent = [view for view in views["novel_pose"] if not is_t_pose(view)]
     for part in SHOWN_VIEWS:
-        (view,) = spread_poses(bent, part, 1)
+        (view,) = spread_poses(views["novel_pose"], part, 1)
         own = next(o for v, o in zip(views["novel_pose"], ours["novel_pose"], strict=True) if v.name == view.name)
         where = square_about(view)
         drawn = what.draw(own.axis_angle, own.root, view.camera, 2, np.ones(view.camera.size[::-1], bool)).color

@@ -8,7 +8,7 @@ template.
 import json
 import signal
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
@@ -63,15 +63,15 @@ def loss_of(field: DensityField, frame: Frame, u: Tensor, budget: Budget) -> tup
 class Learning:
     """A field with its optimiser, its random state, and how far it is."""
 
-    def __init__(self, field: DensityField, scene: Scene, budget: Budget):
-        self.field, self.scene, self.budget, self.at = field, scene, budget, Position()
+    def __init__(self, field: DensityField, frames: list[Frame], budget: Budget):
+        self.field, self.frames, self.budget, self.at = field, frames, budget, Position()
         self.optimiser = torch.optim.Adam(field.parameters(), lr=budget.rate, betas=(0.9, 0.99), eps=1e-15,
                                           fused=True)  # fmt: skip
         self.generator = torch.Generator().manual_seed(budget.seed)
 
     def step(self) -> float:
         """One step on rays of one frame; the PSNR on the person."""
-        budget, frames = self.budget, self.scene.frames
+        budget, frames = self.budget, self.frames
         warm = min((self.at.iteration + 1) / WARM_UP, 1.0)
         for group in self.optimiser.param_groups:
             group["lr"] = warm * budget.rate * budget.last_rate ** budget.spent(self.at)
@@ -128,7 +128,7 @@ def learn_run(field: DensityField, scene: Scene, budget: Budget, out: Path, fact
             raise AssetError(f"{partial}: was begun with other settings; remove it to begin anew")
     else:
         write_json(partial / "session.json", decides)
-    learning = Learning(field, scene, budget)
+    learning = Learning(field, scene.frames, budget)
     learning.go_on(facts["system"], partial / "field.ckpt")
     field.settle(scene.body_frames)
     with whole_folder(out) as folder:
@@ -166,8 +166,7 @@ def load_field(run: Path, field: DensityField) -> DensityField:
 
 def on_one_frame(field: DensityField, scene: Scene, budget: Budget, enough: float = 30.0) -> dict[str, float]:
     """How soon the field shows the first frame to `enough` dB: the pooled PSNR of that frame's rays on the person."""
-    alone = replace(scene, frames=scene.frames[:1])
-    learning, frame = Learning(field, alone, budget), alone.frames[0]
+    learning, frame = Learning(field, scene.frames[:1], budget), scene.frames[0]
     on = (frame.mask > 0.5).nonzero()[:, 0]
     reached, began = 0.0, time.process_time()
     while reached < enough and budget.spent(learning.at) < 1:

@@ -156,10 +156,10 @@ def page(rows: Rows, options: dict[str, Any], absent: Sequence[str]) -> str:
         f"{options['frames']} frames, {options['pixels']} px, {options['light']} light; networks of size "
         f"`{options['size']}`; {options['seconds']:g} processor seconds of learning for everyone, one thread; "
         f"{options['poses']} poses of each held-out set. That is a small part of a published training: the table says "
-        "what the systems learn in so little time, not where they end. Rivals get our template with its hair, our poses "
-        "and the head's place of our finished run; their preparation is not counted, nor is ours. The rays of a pixel "
-        "are marched to the same template in the same bands for everyone. How each system differs from its publication "
-        "stands at the top of its file (`experiments/rivals/`).",
+        "what the systems learn in so little time, not where they end. Rivals get our template with its hair, our "
+        "poses and the head's place of our finished run; their preparation is not counted, nor is ours. The rays of "
+        "a pixel are marched to the same template in the same bands for everyone. How each system differs from its "
+        "publication stands at the top of its file (`experiments/rivals/`).",
         "",
     ]
     for kind in kinds:
@@ -167,8 +167,8 @@ def page(rows: Rows, options: dict[str, Any], absent: Sequence[str]) -> str:
             out += [f"## {title}, {kind}", "", *table(rows, kind, name), ""]
         out += [f"## Over people, novel poses, {kind}", "", *sign_tests(rows, kind), "",
                 f"## Beside the paper, {kind}", "",
-                "The paper's numbers are of other people, after 100 000 steps; only the distances to its own method are "
-                "comparable.", "", *beside_paper(rows, kind), ""]  # fmt: skip
+                "The paper's numbers are of other people, after 100 000 steps; only the distances to its own method "
+                "can be compared.", "", *beside_paper(rows, kind), ""]  # fmt: skip
     out += ["## What it took", "", *cost(rows), ""]
     out += ["## Not made", "", *(f"- {line}" for line in absent), ""] if absent else []
     return "\n".join(out)

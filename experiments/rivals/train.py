@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from experiments.program import end_with, note
-from experiments.rivals import anisdf, aninerf, neuralbody
+from experiments.rivals import aninerf, anisdf, neuralbody
 from experiments.rivals.density import DensityField, Scene, read_scene
 from experiments.rivals.learning import Budget, learn_run, on_one_frame
 from experiments.rivals.overfit import field_on_one_frame
@@ -23,7 +23,7 @@ from train.preset import PRESETS, Preset
 
 # processor seconds of a step of size demo, measured on the machine of docs/results/cpu-rivals; one of ours is a step of
 # each part, of stage 2 and of Eq. 8
-STEP_SECONDS = {"ours": 0.58, "single": 0.2, "anisdf": 0.4}
+STEP_SECONDS = {"ours": 0.58, "single": 0.87, "anisdf": 0.8}
 PUBLISHED_STEPS = 100_000
 RAYS_PER_FRAME = 3000
 DENSITIES: dict[str, Callable[[Scene, str], DensityField]] = {
