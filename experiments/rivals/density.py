@@ -28,7 +28,7 @@ from capture.folder import Capture, CaptureSubject, PartVideo, read_capture, rea
 from capture.template.parts import part_boxes
 from capture.template.surface import SurfaceCloud, signed, surface_cloud, visible_faces
 from command.errors import AssetError
-from experiments.rivals.single import joined_cloud
+from experiments.rivals.single import joined_cloud, place_read_from
 from geometry.cells import distance_to
 from geometry.isosurface import zero_set_mesh
 from geometry.mesh import TriangleMesh, largest_component
@@ -37,7 +37,6 @@ from train.networks import frame_codes
 from train.preset import Preset
 from train.rays import Band, FilmedPart, PosedTemplate, choose_pixels, march, spread_ends
 from train.render import accumulated, section_lengths
-from train.run import matrix_of, read_facts
 
 # per metre: a density from which on a mesh is solid, as the authors' code extracts it (mesh_th)
 SOLID = 50.0
@@ -269,27 +268,38 @@ class Scene:
     said: str = ""
 
 
-def read_scene(capture_path: Path, run: Path, preset: Preset, *, per_frame: int, seed: int) -> Scene:
+def read_scene(capture_path: Path, run: Path, preset: Preset, seed: int, frames: int | None = None) -> Scene:
     """The rays of a capture's videos with what a run of four parts found before and after training: its template with
-    hair and clothes, its poses, and where it put the head.
+    hair and clothes, its poses, and where it put the head. `frames`: only the first so many of each video.
 
     Raises:
-        AssetError: the run is none of four parts, or the capture is unusable.
+        AssetError: the run is none of four parts on this capture, or the capture is unusable.
     """
-    facts = read_facts(run)
-    if "single" in facts.get("parts", {}):
-        raise AssetError(f"{run}: is a single network; rivals need the head's place of a run of four parts")
     videos = filmed_parts(capture_path)
-    capture = with_learned(read_capture(capture_path, parts=videos), run)
-    capture = replace(capture, subject=read_subject(run / "subject.npz", capture.subject.name))
-    place = np.linalg.inv(matrix_of(run, facts, "head_from_canonical"))
-    person, frames, body_frames = person_of(capture.subject, preset), [], 0
+    capture = read_capture(capture_path, parts=videos)
+    place = place_read_from(run, capture).canonical_from_head
+    capture = with_learned(capture, run)
+    capture = first_frames(replace(capture, subject=read_subject(run / "subject.npz", capture.subject.name)), frames)
+    person, found, body_frames = person_of(capture.subject, preset), [], 0
     for name in videos:
-        frames += video_frames(capture, name, person, place, per_frame, len(frames), seed)
-        body_frames = body_frames or len(frames)
+        found += video_frames(capture, name, person, place, len(found), seed)
+        body_frames = body_frames or len(found)
     absent = [name for name in PARTS if name not in videos]
     said = f"no video of {', '.join(absent)}: {' and '.join(videos)} alone are learned from" if absent else ""
-    return Scene(person, frames, body_frames, said)
+    return Scene(person, found, body_frames, said)
+
+
+def first_frames(capture: Capture, count: int | None) -> Capture:
+    """The capture with the first frames of each of its videos; None: all."""
+    if count is None:
+        return capture
+    cut = lambda values: None if values is None else values[:count]
+    videos = {}
+    for name, video in capture.videos.items():
+        videos[name] = replace(video, images=video.images[:count], masks=video.masks[:count],
+                               cameras=video.cameras[:count], axis_angle=cut(video.axis_angle), root=cut(video.root),
+                               unsure=cut(video.unsure))  # fmt: skip
+    return replace(capture, videos=videos)
 
 
 def filmed_parts(capture: Path) -> tuple[str, ...]:
@@ -306,7 +316,7 @@ def filmed_parts(capture: Path) -> tuple[str, ...]:
 
 
 def video_frames(
-    capture: Capture, name: str, person: Person, place: Float[Array, "4 4"], per_frame: int, first: int, seed: int
+    capture: Capture, name: str, person: Person, place: Float[Array, "4 4"], first: int, seed: int
 ) -> list[Frame]:
     """The frames of one video, numbered from `first`; `place` is canonical_from_head.
 
@@ -323,7 +333,7 @@ def video_frames(
         unsure = None if video.unsure is None else video.unsure[frame]
         posed = filmed.posed(frame)
         reach = filmed.reach(frame, posed, settings.band)
-        pixels = choose_pixels(mask, unsure, per_frame, settings.background, reach, rng)
+        pixels = choose_pixels(mask, unsure, person.preset.rays_per_frame, settings.background, reach, rng)
         rays = posed_rays(filmed, posed, frame, pixels, bands, person.preset.sections + 2)
         if rays is None:
             continue

@@ -6,6 +6,7 @@ template.
 """
 
 import json
+import shutil
 import signal
 import time
 from dataclasses import asdict, dataclass
@@ -24,6 +25,8 @@ from files.input_file import read_json_object
 from files.whole import check_folder, whole_folder, write_json
 from train.loss import color_loss, color_norm_loss, mask_loss
 from train.run import RIVAL
+from train.session import FILE as SESSION
+from train.session import exclusive_lock
 from train.trainer import Position, flushed_denormals, load_checkpoint, save_checkpoint
 from train.weight_file import read_weights, unusable
 
@@ -117,30 +120,28 @@ def learn_run(field: DensityField, scene: Scene, budget: Budget, out: Path, fact
     `facts` name the system, its size and what it was trained on; they decide the result.
 
     Raises:
-        AssetError: what was interrupted there was begun with other facts.
+        AssetError: what was interrupted there was begun with other facts, or another process is at it.
     """
     check_folder(out)
-    partial, began = out.with_name(out.name + ".partial"), time.process_time()
-    partial.mkdir(parents=True, exist_ok=True)
+    partial = out.with_name(out.name + ".partial")
     decides = json.loads(json.dumps({**facts, "budget": {k: str(v) for k, v in asdict(budget).items()}}))
-    if (partial / "session.json").exists():
-        if read_json_object(partial / "session.json", "an interrupted training") != decides:
+    with exclusive_lock(out):
+        partial.mkdir(exist_ok=True)
+        if not (partial / SESSION).exists():
+            write_json(partial / SESSION, decides)
+        elif read_json_object(partial / SESSION, "an interrupted training") != decides:
             raise AssetError(f"{partial}: was begun with other settings; remove it to begin anew")
-    else:
-        write_json(partial / "session.json", decides)
-    learning = Learning(field, scene.frames, budget)
-    learning.go_on(facts["system"], partial / "field.ckpt")
-    field.settle(scene.body_frames)
-    with whole_folder(out) as folder:
-        torch.save({"state": field.state_dict()}, folder / "field.pt")
-        write_subject(folder / "subject.npz", scene.person.subject)
-        numbers = {"steps": learning.at.iteration, "skipped": learning.at.skipped,
-                   "cpu_seconds": round(learning.at.seconds, 1), "frames": len(scene.frames),
-                   "cpu_seconds_process": round(time.process_time() - began, 1)}  # fmt: skip
-        write_json(folder / "run.json", {"format": RIVAL, "version": 1, **decides, **numbers})
-    for path in partial.iterdir():
-        path.unlink()
-    partial.rmdir()
+        learning = Learning(field, scene.frames, budget)
+        learning.go_on(facts["system"], partial / "field.ckpt")
+        field.settle(scene.body_frames)
+        with whole_folder(out) as folder:
+            torch.save({"state": field.state_dict()}, folder / "field.pt")
+            write_subject(folder / "subject.npz", scene.person.subject)
+            numbers = {"steps": learning.at.iteration, "skipped": learning.at.skipped,
+                       "cpu_seconds": round(learning.at.seconds, 1), "frames": len(scene.frames),
+                       "cpu_seconds_process": round(time.process_time(), 1)}  # fmt: skip
+            write_json(folder / "run.json", {"format": RIVAL, "version": 1, **decides, **numbers})
+        shutil.rmtree(partial)
 
 
 def read_facts_of_rival(run: Path) -> dict:

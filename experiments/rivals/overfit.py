@@ -4,18 +4,17 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from avatar.psnr import decibels
 from capture.folder import read_capture, read_subject
 from experiments.rivals import anisdf
-from experiments.rivals.single import single_preset, single_untrained
+from experiments.rivals.density import first_frames
+from experiments.rivals.single import place_read_from, single_preset, single_untrained
 from train.command import TrainOptions
 from train.objective import Batch, RayTensors, functions_of, render_rays
 from train.part_job import PartJob
 from train.preset import Preset
-from train.run import matrix_of, read_facts
 from train.trainer import FieldTraining, flushed_denormals, train_field
 
 
@@ -26,9 +25,9 @@ def field_on_one_frame(
     alone = anisdf.anisdf_preset(preset) if system == "anisdf" else single_preset(preset)
     part = replace(alone.parts[0], iterations=steps)
     alone = replace(alone, parts=(part,))
-    capture = read_capture(options.capture)
+    capture = first_frames(read_capture(options.capture), 1)
     capture = replace(capture, subject=read_subject(head_from / "subject.npz", capture.subject.name))
-    place = np.linalg.inv(matrix_of(head_from, read_facts(head_from), "head_from_canonical"))
+    place = place_read_from(head_from, capture).canonical_from_head
     job = PartJob(capture=str(options.capture), index=0, preset=alone, canonical_from_head=place, folder="",
                   device="cpu", threads=1, seed=options.seed)  # fmt: skip
     torch.manual_seed(options.seed)

@@ -19,7 +19,7 @@ from experiments.rivals.overfit import field_on_one_frame
 from experiments.rivals.single import single_preset, single_untrained, train_alone
 from experiments.short_training import begun
 from train.command import TrainOptions
-from train.preset import PRESETS, Preset
+from train.preset import PRESETS
 
 # processor seconds of a step of size demo, measured on the machine of docs/results/cpu-rivals; one of ours is a step of
 # each part, of stage 2 and of Eq. 8
@@ -48,7 +48,9 @@ def train_rival(system: str, options: TrainOptions, seconds: float, head_from: P
         after = anisdf.without_width if system == "anisdf" and options.preset == "demo" else (lambda part: None)
         train_alone(resumed, preset, alone, make, head_from, after)
         return
-    scene, budget = _scene(options, preset, head_from), budget_of(options, seconds)
+    scene, budget = read_scene(options.capture, head_from, preset, options.seed), budget_of(options, seconds)
+    if scene.said:
+        note(scene.said)
     torch.manual_seed(options.seed)
     field = DENSITIES[system](scene, options.preset)
     facts = {"system": system, "size": options.preset, "capture": str(options.capture), "head_from": str(head_from)}
@@ -62,19 +64,12 @@ def budget_of(options: TrainOptions, seconds: float) -> Budget:
     return Budget(seconds=seconds, steps=PUBLISHED_STEPS, rate=5e-4, last_rate=0.1, norm=True, seed=options.seed)
 
 
-def _scene(options: TrainOptions, preset: Preset, head_from: Path) -> Scene:
-    scene = read_scene(options.capture, head_from, preset, per_frame=preset.rays_per_frame, seed=options.seed)
-    if scene.said:
-        note(scene.said)
-    return scene
-
-
 def overfit(system: str, options: TrainOptions, seconds: float, head_from: Path) -> dict[str, float]:
     """How soon a system shows the body video's first frame to 30 dB."""
     preset = PRESETS[options.preset]
     if system not in DENSITIES:
         return field_on_one_frame(system, options, preset, head_from, steps_for(system, seconds))
-    scene = _scene(options, replace(preset, rays_per_frame=4000), head_from)
+    scene = read_scene(options.capture, head_from, preset, options.seed, 1)
     torch.manual_seed(options.seed)
     return on_one_frame(DENSITIES[system](scene, options.preset), scene, budget_of(options, seconds))
 
