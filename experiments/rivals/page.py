@@ -6,6 +6,7 @@ from statistics import mean, stdev
 from typing import Any
 
 from bench.score.metrics import METRICS
+from command.progress import plural
 from experiments.paper_numbers import PAPER_GEOMETRY, PAPER_IMAGE, QUOTED_GEOMETRY, QUOTED_IMAGE
 
 TITLES = {
@@ -154,8 +155,10 @@ def page(rows: Rows, options: dict[str, Any], absent: Sequence[str]) -> str:
     out += [
         f"{len(people)} {'person' if len(people) == 1 else 'people'} ({', '.join(people)}); four videos of "
         f"{options['frames']} frames, {options['pixels']} px, {options['light']} light; networks of size "
-        f"`{options['size']}`; {options['seconds']:g} processor seconds of learning for everyone, one thread; "
-        f"{options['poses']} poses of each held-out set. That is a small part of a published training: the table says "
+        f"`{options['size']}`; {options['seconds']:g} processor seconds of learning asked for, one thread "
+        "(what each took stands below); "
+        f"{plural(options['poses'], 'pose')} of each held-out set. That is a small part of a published "
+        "training: the table says "
         "what the systems learn in so little time, not where they end. Rivals get our template with its hair, our "
         "poses and the head's place of our finished run; their preparation is not counted, nor is ours. The rays of "
         "a pixel are marched to the same template in the same bands for everyone. How each system differs from its "
