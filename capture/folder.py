@@ -138,10 +138,10 @@ def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS, frames_on_de
         found = one_line(f"{facts.get('format')!r} version {facts.get('version')!r}")
         raise AssetError(f"{path / 'capture.json'}: expected format 'selfscan-capture' version 1, found {found}")
     named = facts.get("parts")
-    missing = [part for part in PARTS if not isinstance(named, list) or part not in named]
+    missing = [part for part in parts if not isinstance(named, list) or part not in named]
     if missing:
-        raise AssetError(f"{path / 'capture.json'}: parts should hold {list(PARTS)}, lacks {missing}")
-    absent = [part for part in PARTS if not (path / part).is_dir()]
+        raise AssetError(f"{path / 'capture.json'}: parts should hold {list(parts)}, lacks {missing}")
+    absent = [part for part in parts if not (path / part).is_dir()]
     if absent:
         raise AssetError(f"{path}: no folder {', '.join(absent)}; all four videos are needed: {', '.join(PARTS)}")
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", path.name)))

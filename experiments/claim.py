@@ -121,13 +121,13 @@ def stages(options: Options, name: str, out: Path) -> dict[str, list[Stage]]:
     return found
 
 
-def settle(out: Path, options: Options) -> None:
+def settle(out: Path, said: dict[str, Any]) -> None:
     """Numbers of different settings do not share a folder.
 
     Raises:
         AssetError: the folder holds others.
     """
-    path, said = out / "options.json", asdict(options)
+    path = out / "options.json"
     if path.exists():
         there = read_json_object(path, "the options of this folder's results")
         other = [f"{key} {there.get(key)}" for key, value in said.items() if there.get(key) != value]
@@ -201,7 +201,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(f"people are told apart by their files' names, which are {', '.join(names)}")
     options = Options(given.preset, given.steps, given.size, given.seconds, given.frames, given.seed, given.poses,
                       given.light)  # fmt: skip
-    settle(given.out, options)
+    settle(given.out, asdict(options))
     absent = run_all(options, given.people, given.out, given.only or INPUTS)
     found = collect(given.out)
     facts = asdict(options) | {"share": share_in_words(options.preset, options.steps)}

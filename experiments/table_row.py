@@ -49,7 +49,7 @@ class Training:
 
 
 PARTS_TRAINING = Training()
-SINGLE = Training("_single", command=("experiments.single",))
+SINGLE = Training("_single", command=("experiments.rivals.single",))
 LIGHT_OFF = Training("_light_off", ("--without", "light"))
 
 

@@ -69,7 +69,7 @@ class Preset:
     """Settings of a training run."""
 
     name: str
-    # in the order of avatar.skeleton.PARTS; one alone: a person of one network (experiments/single.py)
+    # in the order of avatar.skeleton.PARTS; one alone: a person of one network (experiments/rivals/single.py)
     parts: Annotated[tuple[PartPreset, ...], Rows("parts", 1, len(PARTS))]
     density: Literal["neus", "volsdf"] = "neus"  # train/render.py; VolSDF's width is learned
     # L_rgb: mean |difference|, or Eq. 11 as printed

@@ -45,7 +45,7 @@ def section_weights(
     passed = (log_phi[:, 1:] - log_phi[:, :-1]).clamp_max(0)
     if open_ is not None:
         passed = torch.where(open_, passed, 0.0)
-    return _accumulated(passed)
+    return accumulated(passed)
 
 
 def laplace_density(distance: Float[Tensor, "*batch"], beta: float | Float[Tensor, ""]) -> Float[Tensor, "*batch"]:
@@ -67,7 +67,7 @@ def density_weights(
 
     weights.sum() + exp(log_transmittance) = 1 by construction.
     """
-    return _accumulated(-laplace_density(distance, beta) * lengths)
+    return accumulated(-laplace_density(distance, beta) * lengths)
 
 
 def section_lengths(ends: Float[Tensor, "rays ends 3"]) -> Float[Tensor, "rays sections"]:
@@ -81,7 +81,7 @@ def section_lengths(ends: Float[Tensor, "rays ends 3"]) -> Float[Tensor, "rays s
     return torch.where(lengths > 2 * median, median, lengths)
 
 
-def _accumulated(passed: Float[Tensor, "rays sections"]) -> Weights:
+def accumulated(passed: Float[Tensor, "rays sections"]) -> Weights:
     """Weights from log(1 - alpha) of the sections: each is a difference of two transmittances."""
     log_t = torch.cumsum(passed, 1)
     before = F.pad(log_t[:, :-1], (1, 0))

@@ -32,6 +32,8 @@ from train.template_grid import TemplateGrid
 from train.weight_file import read_weights
 
 FORMAT, VERSION = "selfscan-run", 1
+# what experiments/rivals writes of systems that have a density and no surface
+RIVAL = "selfscan-rival"
 WHAT = "a trained part of a run"
 
 
@@ -198,6 +200,8 @@ def read_facts(path: Path) -> dict:
         AssetError: there is none, it is of another format, or it was changed since it was written.
     """
     facts = read_json(path / "run.json", "a run folder, as `selfscan train` makes it")
+    if isinstance(facts, dict) and facts.get("format") == RIVAL:
+        raise AssetError(f"{path}: is a run of {facts.get('system')}, which has no surface and no colors on it to bake")
     if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
         raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
     if facts.get("check", _check(facts)) != _check(facts):

@@ -102,7 +102,7 @@ class Position:
 
 
 def save_checkpoint(
-    path: Path, field: PartField, optimiser: torch.optim.Optimizer, generator: torch.Generator, position: Position
+    path: Path, field: torch.nn.Module, optimiser: torch.optim.Optimizer, generator: torch.Generator, position: Position
 ) -> None:
     """Write weights, optimiser, random state and position, whole or not at all."""
     state = {
@@ -116,7 +116,7 @@ def save_checkpoint(
 
 
 def load_checkpoint(
-    path: Path, field: PartField, optimiser: torch.optim.Optimizer, generator: torch.Generator, position: Position
+    path: Path, field: torch.nn.Module, optimiser: torch.optim.Optimizer, generator: torch.Generator, position: Position
 ) -> None:
     """Put a checkpoint back, all in place.
 

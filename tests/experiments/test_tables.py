@@ -17,10 +17,10 @@ import experiments.tables
 from capture.fit.refine import with_refined
 from capture.folder import read_capture
 from command.errors import AssetError
-from experiments import single
 from experiments.paper_numbers import PAPER_IMAGE
 from experiments.presets import checkpoints
 from experiments.presets import main as compared
+from experiments.rivals import single
 from experiments.table_page import as_in_paper, mean_of, page
 from experiments.tables import main
 from experiments.variants import seam_steps
@@ -40,7 +40,7 @@ def in_process(*words):
     """A command in this process: rows are measured, a training is the small one above."""
     if words[0] == "experiments.table_row":
         return lambda: experiments.table_row.main([str(word) for word in words[1:]])
-    alone = words[0] == "experiments.single"
+    alone = words[0] == "experiments.rivals.single"
     assert alone or words[:2] == ("selfscan", "train")
     capture, o, run, *rest = words[1 if alone else 2 :]
     assert o == "-o" and rest[:2] == ["--preset", "demo"] and alone == ("--head-from" in rest)

@@ -5,11 +5,12 @@ steps as they take together. Its head rays are moved to the canonical frame by t
 with (Eq. 5, 6 and the body's pixels): one network has one surface, so nothing can be registered afterwards. It is
 shown with the mean code of the body's frames.
 
-    python -m experiments.single CAPTURE -o RUN [--head-from RUN_OF_FOUR_PARTS] [options of selfscan train]
+    python -m experiments.rivals.single CAPTURE -o RUN [--head-from RUN_OF_FOUR_PARTS] [options of selfscan train]
 """
 
 import argparse
 import shutil
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import fields, replace
 from functools import partial
@@ -165,20 +166,34 @@ def train_single(options: TrainOptions, preset: Preset, head_from: Path | None =
     Raises:
         AssetError: `head_from` is no run of four parts on this capture.
     """
-    four, single = without(preset, ["light"]), single_preset(preset)
+    return train_alone(options, preset, single_preset(preset), single_untrained, head_from)
+
+
+def train_alone(
+    options: TrainOptions, four: Preset, alone: Preset, make: Callable[[Preset, PartJob, Capture], Untrained],
+    head_from: Path | None, after: Callable[[Path], None] = lambda part: None,
+) -> Path:  # fmt: skip
+    """Train one field of preset `alone` that stands against the preset `four` of parts; `make` makes it, `after` takes
+    the file of its weights."""
+    four = without(four, ["light"])
     head = None if head_from is None else place_read_from(head_from, read_capture(options.capture))
     decides = None if head is None else {"head_from": digest_of({"place": head.canonical_from_head.tolist()})}
     with ExitStack() as held:
-        training = begin(options, single, held, decides)
+        training = begin(options, alone, held, decides)
         if training is None:
             return options.out
-        training = prepared(training)
-        training = replace(training, head=placed_by_parts(replace(training, preset=four)) if head is None else head)
-        partial_folder = training.session.partial
-        job = part_job(training, partial_folder, 0)
-        job = replace(job, videos=PARTS, make=partial(single_untrained, four))
+        if head is None:
+            training = prepared(training)
+            training = replace(training, head=placed_by_parts(replace(training, preset=four)))
+        else:
+            # no need to look for a place that is known
+            hair = replace(alone.hair, consistency=False)
+            training = prepared(replace(training, head=head, preset=replace(alone, hair=hair)))
+        job = part_job(training, training.session.partial, 0)
+        job = replace(job, videos=PARTS, make=partial(make, four))
         facts = train_parts(training, [job])
         if training.ranks.writes:
+            after(Path(job.folder) / f"{job.name}.pt")
             show_as_in_the_body_video(training, job)
         finish(training, facts)
     return options.out
@@ -234,7 +249,7 @@ def show_as_in_the_body_video(training: Training, job: PartJob) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """The options of `selfscan train`, and --head-from."""
-    own = argparse.ArgumentParser(prog="python -m experiments.single", add_help=False, allow_abbrev=False)
+    own = argparse.ArgumentParser(prog="python -m experiments.rivals.single", add_help=False, allow_abbrev=False)
     own.add_argument("--head-from", type=Path)
     given, rest = own.parse_known_args(argv)
     words = Help(

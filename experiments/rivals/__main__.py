@@ -1,0 +1,184 @@
+"""The paper's table, run: python -m experiments.rivals [PEOPLE...] -o OUT [--systems ...] [--inputs given pixels] ...
+
+Every person is filmed once for each kind of input (OUT/PERSON/INPUT/capture), every system is trained on it for the
+same processor seconds (.../seedN/SYSTEM), and judged on the same held-out pictures (.../seedN/SYSTEM.json). What is
+there stays: the same command goes on where it stopped. OUT/rivals.json and OUT/README.md are made of all rows in OUT.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from command.errors import AssetError
+from command.stages import Stage, command, run_stages
+from experiments.claim import folder_of, person_and_sex, settle, stature_of
+from experiments.program import end_with, note
+from experiments.rivals.page import TITLES, page
+from experiments.rivals.sheet import write_sheet
+from experiments.rivals.train import TRAINED_HERE, steps_for
+from experiments.short_training import begun
+from files.input_file import read_json_object
+from files.whole import write_json, write_text
+
+KINDS = {"given": "given", "pixels": "from pixels"}
+# minutes on a quiet core beside the learning: of an import, of what comes before and after learning, of baking and of
+# judging a pose
+IMPORT, AROUND, BAKE, POSE = 8.0, 2.5, 3.0, 0.5
+
+
+@dataclass(frozen=True)
+class Options:
+    """What decides the numbers; a folder holds those of one of them."""
+
+    seconds: float  # of the processor, of learning
+    size: str  # of the networks
+    pixels: int  # of the videos' sides
+    frames: int  # of each video
+    poses: int  # of each held-out set
+    light: str
+
+
+def capture_stages(options: Options, person: str, kind: str, folder: Path) -> tuple[list[Stage], Path]:
+    """What films a person, and the folder of the truth."""
+    who, sex = person_and_sex(person)
+    capture, raw = folder / "capture", folder / "raw"
+    same = ["--size", str(options.pixels), "--light", options.light]
+    if kind == "given":
+        film = command("selfscan", "synth", who, capture, "--frames", str(options.frames), *same)
+        return [Stage("film", capture / "capture.json", film, 2.0)], capture
+    film = command("selfscan", "synth", who, raw, "--raw", "--keypoints", "--held-out", "--seconds", "12", *same)
+
+    def imported() -> int:
+        told = ["--sex", sex, "--stature", f"{stature_of(who):.3f}", "--frames", str(options.frames)]
+        return command("selfscan", "import", "video", raw, "-o", capture, *told)()
+
+    return [Stage("film four raw videos", raw / "truth" / "raw.json", film, 5.0),
+            Stage("import", capture / "capture.json", imported, IMPORT)], raw  # fmt: skip
+
+
+def row_stages(options: Options, system: str, seed: int, folder: Path, truth: Path) -> list[Stage]:
+    """What trains and judges one system; `folder` is that of a person's input."""
+    own, capture = folder / f"seed{seed}", folder / "capture"
+    ours, minutes = own / "ours", options.seconds / 60
+    base = {"zero": own / "zero", "ours_baked": ours}.get(system, own / system)
+
+    def train() -> int:
+        """Ours and 0 steps by the program itself, the others by train.py."""
+        if system in TRAINED_HERE:
+            words = ["experiments.rivals.train", capture, "-o", base, "--system", system, "--size", options.size,
+                     "--seconds", f"{options.seconds:g}", "--seed", str(seed), "--head-from", ours]  # fmt: skip
+            return command(*words)()
+        words = ["selfscan", "train", capture, "-o", base, "--seed", str(seed)]
+        words += ["--preset", "preview" if system == "zero" else options.size]
+        if system != "zero" and options.seconds < float("inf"):
+            words += ["--iterations", str(steps_for("ours", options.seconds))]
+        return command(*words, *(["--resume"] if begun(base) else []))()
+
+    found = [Stage(f"{system}: train", base / "run.json", train, AROUND + minutes)]
+    shown = base
+    if system in ("zero", "ours_baked"):
+        shown = own / f"{system}.glb"
+        bake = command("selfscan", "bake", base, "-o", shown, "--capture", capture)
+        found.append(Stage(f"{system}: bake", shown, bake, BAKE))
+    fitted = ["--pixels", ours] if folder.name != "given" else []
+    words = ["experiments.rivals.judge", system, shown, truth, own / f"{system}.json", "--poses", str(options.poses)]
+    judge = command(*words, *fitted)
+    return [*found, Stage(f"{system}: judge", own / f"{system}.json", judge, 2 * POSE * options.poses)]
+
+
+def learning_seconds(run: Path) -> dict[str, Any]:
+    """Processor seconds of learning and of everything, and the steps, as a run says.
+
+    Of ours learning is the parts' steps, and stage 2 and Eq. 8 by the wall clock.
+    """
+    facts = read_json_object(run / "run.json", "the facts of a run")
+    if "parts" not in facts:
+        return {"seconds": facts["cpu_seconds"], "all_seconds": facts["cpu_seconds_process"], "steps": facts["steps"]}
+    parts = facts["parts"].values()
+    learned = sum(part.get("cpu_seconds", 0.0) - part.get("cpu_seconds_preparing", 0.0) for part in parts)
+    learned += sum(facts["seconds"].get(name, 0.0) for name in ("union", "appearance"))
+    steps = sum(part.get("steps", 0) for part in parts)
+    return {"seconds": round(learned, 1), "all_seconds": facts["cpu_seconds"], "steps": steps}
+
+
+def collect(out: Path) -> list[dict[str, Any]]:
+    """Every row that is there."""
+    rows = []
+    for path in sorted(out.glob("*/*/seed*/*.json")):
+        system, seed, kind, person = path.stem, path.parent.name[4:], path.parents[1].name, path.parents[2].name
+        if system not in TITLES:
+            continue
+        run = {"ours_baked": "ours"}.get(system, system)
+        found = json.loads(path.read_text("utf-8"))
+        rows.append({"system": system, "person": person, "input": KINDS[kind], "seed": int(seed),
+                     **learning_seconds(path.parent / run), **found})  # fmt: skip
+    return rows
+
+
+def run_all(options: Options, given: argparse.Namespace) -> list[str]:
+    """Every row that was asked for; what could not be made, in words."""
+    absent = []
+    for person in given.people:
+        for kind in given.inputs:
+            folder = given.out / folder_of(person) / kind
+            folder.mkdir(parents=True, exist_ok=True)
+            films, truth = capture_stages(options, person, kind, folder)
+            run_stages(films)
+            for seed in given.seeds:
+                (folder / f"seed{seed}").mkdir(exist_ok=True)
+                # the others take the head's place from ours
+                for system in sorted(given.systems, key=lambda name: list(TITLES).index(name)):
+                    note(f"{folder_of(person)}, {KINDS[kind]}, seed {seed}: {system}")
+                    try:
+                        run_stages(row_stages(options, system, seed, folder, truth))
+                    except AssetError as error:
+                        absent.append(f"{folder_of(person)}, {KINDS[kind]}, seed {seed}: {error}")
+                    report(given.out, options, absent)
+    return absent
+
+
+def report(out: Path, options: Options, absent: list[str]) -> None:
+    """rivals.json and the page, of what is there."""
+    rows = collect(out)
+    write_json(out / "rivals.json", {"options": asdict(options), "rows": rows, "absent": absent})
+    write_text(out / "README.md", page(rows, asdict(options), absent))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.rivals", description=(__doc__ or "").split(":")[0])
+    parser.add_argument("people", metavar="PERSON", nargs="*", default=["builtin"],
+                        help="builtin, builtin:female or a rigged .glb[:female] (default: builtin)")  # fmt: skip
+    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="gets rivals.json and README.md")
+    parser.add_argument("--systems", nargs="+", choices=TITLES, default=list(TITLES))
+    parser.add_argument("--inputs", nargs="+", choices=KINDS, default=["given"])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the processor, of learning (default: 60)")
+    parser.add_argument("--size", choices=("demo", "paper"), default="demo", help="of the networks (default: demo)")
+    parser.add_argument("--pixels", type=int, default=256, help="of the videos' sides (default: 256)")
+    parser.add_argument("--frames", type=int, default=24, help="of each video (default: 24)")
+    parser.add_argument("--poses", type=int, default=20, help="of each held-out set (default: 20, all)")
+    parser.add_argument("--light", default="soft", help="of everything that is filmed (default: soft)")
+    parser.add_argument("--sheet", action="store_true", help="the sheet of pictures of the first person too")
+    given = parser.parse_args(argv)
+    for name in ("seconds", "pixels", "frames", "poses"):
+        if not getattr(given, name) > 0:
+            parser.error(f"--{name} should be positive, is {getattr(given, name)}")
+    options = Options(given.seconds, given.size, given.pixels, given.frames, given.poses, given.light)
+    settle(given.out, asdict(options))
+    absent = run_all(options, given)
+    if given.sheet:
+        first = given.out / folder_of(given.people[0]) / given.inputs[0] / f"seed{given.seeds[0]}"
+        write_sheet(first, given.out / "sheet.png")
+    for line in absent:
+        print(f"not made: {line}", file=sys.stderr)
+    print(given.out / "README.md")
+    return 1 if absent else 0
+
+
+if __name__ == "__main__":
+    end_with(main)
