@@ -160,7 +160,7 @@ def load_field(run: Path, field: DensityField) -> DensityField:
     """The weights of a run put into an untrained field of its size."""
     what = "the weights of a rival"
     content = read_weights(run / "field.pt", what)
-    with unusable(run / "field.pt", what):
+    with unusable(f"{run / 'field.pt'}: expected {what}, found"):
         field.load_state_dict(content["state"])
     return field.eval().requires_grad_(False)
 

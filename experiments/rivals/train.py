@@ -21,7 +21,7 @@ from experiments.short_training import begun
 from train.command import TrainOptions
 from train.preset import PRESETS
 
-# processor seconds of a step of size demo, measured on the machine of docs/results/cpu-rivals; one of ours is a step of
+# processor seconds of a step of size demo, measured beside other work on two cores; one of ours is a step of
 # each part, of stage 2 and of Eq. 8
 STEP_SECONDS = {"ours": 0.58, "single": 0.87, "anisdf": 0.67}
 PUBLISHED_STEPS = 100_000
