@@ -21,14 +21,14 @@ from command.errors import AssetError
 from command.interrupt import Stopped, deferred_stop
 from command.progress import Progress
 from experiments.rivals.density import DensityField, Frame, Scene, render
-from files.input_file import read_json_object
+from files.input_file import read_json_object, unusable
 from files.whole import check_folder, whole_folder, write_json
 from train.loss import color_loss, color_norm_loss, mask_loss
 from train.run import RIVAL
 from train.session import FILE as SESSION
 from train.session import exclusive_lock
 from train.trainer import Position, flushed_denormals, load_checkpoint, save_checkpoint
-from train.weight_file import read_weights, unusable
+from train.weight_file import read_weights
 
 WARM_UP = 50  # steps
 SAVE_EVERY = 30.0  # seconds
