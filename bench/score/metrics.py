@@ -188,7 +188,7 @@ METRICS = (
     Metric("chamfer_cm", "CD cm", 2, "lower", of_surfaces=lambda d: d.chamfer),
     Metric("f_5mm", "F 5 mm", 2, "higher", of_surfaces=lambda d: d.f_5mm),
     Metric("f_1cm", "F 1 cm", 2, "higher", of_surfaces=lambda d: d.f_1cm),
-    # of the whole person's pictures; of the person standing, and of parts: bench/score/outlines.py
+    # pictures of the whole person; the standing person's and its parts' outlines: bench/score/outlines.py
     Metric("outline_iou", "IoU", 3, "higher", outline_iou),
     Metric("outline_worst", "IoU worst", 3, "higher", outline_iou, pool=min),
     # features of the standing head: bench/score/landmarks.py
