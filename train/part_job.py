@@ -36,7 +36,7 @@ from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, Position, Watch, peak_memory, train_field
 from train.union import write_rays
 
-# a part breaks off where more than this share of its template lies farther than so many metres from the learned surface:
+# a part breaks off where more than this share of its template lies farther than so many metres from what is learned:
 # `bake` would take its template (bake.broken_parts); looked at every so many steps
 BROKEN_SHARE, BROKEN_OFF, LOOK_EVERY = 0.1, 0.03, 50
 
