@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 from striped_oracle import oracle, small_pictures
 from tiny import tiny, tiny_training
 
@@ -43,7 +44,9 @@ def test_textures_from_the_videos_are_nearer_to_the_true_pictures(out):
     against, same = facts["against_field"], avatars["a"].provenance["baked"]["against_field"]
     # beside the videos' textures the field's picture has half the texels a side
     assert same["paper_db"] - 3 < against["paper_db"] < same["paper_db"] + 0.1
-    assert np.array_equal(avatars["a"].levels[0].positions, avatars["videos"].levels[0].positions)
+    # a face is cut into a level whose triangles it must leave room for: not the same vertices, the same surface
+    positions = [avatar.levels[0].positions for avatar in avatars.values()]
+    assert KDTree(positions[0]).query(positions[1])[0].mean() < 3e-4
     views = some_poses(read_held_out(out / "capture", "novel_view"), 3)
     # its own context: VTK, by which later tests inspect, ends those that stand open
     with open_context() as context:
