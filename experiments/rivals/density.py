@@ -6,6 +6,7 @@ the person in its pose with the pelvis where it is at rest, unturned. A head's v
 there). Rendering is NeRF's (Mildenhall et al. 2020, Eq. 3): log(1 - alpha_i) = -sigma(x_i) |x_{i+1} - x_i|.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -83,12 +84,12 @@ class Sections(NamedTuple):
     extra: Float[Tensor, ""] | None = None
 
 
-class DensityField(nn.Module):
+class DensityField(nn.Module, ABC):
     """A system whose geometry is a density."""
 
+    @abstractmethod
     def sections(self, points: Float[Tensor, "b k 3"], frame: Frame) -> Sections:
         """Density and color at points of the frame's root frame; `frame` holds the rays that they lie on."""
-        raise NotImplementedError
 
     def settle(self, body_frames: int) -> None:
         """Called after the last step; the first `body_frames` frames are the body video's."""

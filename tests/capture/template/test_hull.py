@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from avatar.camera import orbit_camera, pixel_rays
 from capture.template.grid import DistanceGrid, closed_surface
-from capture.template.hull import STANDS_OFF, MaskView, Scalp, background_share, carve, hanging
+from capture.template.hull import ESTIMATED, GIVEN, STANDS_OFF, MaskView, Scalp, background_share, carve, hanging
 from geometry.mesh import TriangleMesh, enclosed_volume
 from geometry.repair import find_faults
 
@@ -96,6 +96,19 @@ def test_hair_under_the_neck_hangs_from_what_is_above_it_and_never_before_the_fa
     everything = hanging(np.ones(x.shape, bool), axes, SCALP)
     assert not everything[(np.abs(x) < 0.05) & (z > 0.01) & (y < SCALP.brow - 0.01) & (y > SCALP.neck)].any()
     assert everything[y > SCALP.brow].all() and everything[(z < -0.01) & (y > SCALP.neck)].all()
+
+
+def test_where_poses_are_estimated_hair_before_the_nape_has_no_edge_on_the_shoulder():
+    """Cells within 1.5 cm of the skin under the neck, beside what stands off: behind the nape they stay."""
+    _, y, z = np.moveaxis(GRID, -1, 0)
+    close, views = (ball().values > 0) & (ball().values < 0.015) & (y < SCALP.neck), filmed(hair=True)
+    near = {}
+    for trust in (GIVEN, ESTIMATED):
+        hair = carve(views, ball(), SCALP, trust=trust)
+        assert hair is not None
+        found = (hair.share > 0.5) & close
+        near[trust] = int((found & (z > -0.05)).sum()), int((found & (z < -0.065)).sum())
+    assert near[ESTIMATED][0] < 0.2 * near[GIVEN][0] and near[ESTIMATED][1] > 0.8 * near[GIVEN][1] > 50
 
 
 def test_background_counts_pictures_that_hold_the_point_and_the_mesh_of_hair_is_closed():
