@@ -18,7 +18,7 @@ from capture.fit.outline_term import Outlines
 from capture.fit.person import Person
 from capture.fit.priors import FROZEN, Priors, bias_of
 from capture.fit.solve import placed_rigidly, solve
-from capture.fit.standoff import scalp_standoff
+from capture.fit.standoff import head_outlined, scalp_standoff
 from capture.keypoints.record import FACE
 from capture.read.template import part_of
 
@@ -64,15 +64,15 @@ def fit_head(person: Person, g: Array, footage: Footage, report: Report) -> Esti
     estimate, priors = fit_keypoints(person, g, footage)
     report("keypoints")
     # the face's profile places the head, but only the scalp is moved by outlines
-    outlines, head, scalp = Outlines(footage), head_vertices(person), Outlines(footage, scalp_standoff())
+    outlines, scalp = Outlines(footage), Outlines(footage, scalp_standoff())
     moving = scalp_standoff() > 0
     for number in range(len(WEIGHTS) + ROUNDS):
         weight = WEIGHTS[min(number, len(WEIGHTS) - 1)]
-        estimate = same_size(outlines.fit(estimate, footage, priors, head, (weight,), cut=CUTS[-1]), footage)
+        estimate = same_size(outlines.fit(estimate, footage, priors, head_outlined(), (weight,), cut=CUTS[-1]), footage)
         if number >= len(WEIGHTS) - 1:
             estimate = dressed(estimate, footage, scalp, moving, STIFFNESS[2 * (number > len(WEIGHTS)) :])
         report("outlines")
-    return with_own_face(estimate, footage, head)
+    return with_own_face(estimate, footage, head_vertices(person))
 
 
 def camera_from_head(estimate: Estimate) -> Float[Array, "frames 4 4"]:

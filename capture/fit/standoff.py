@@ -9,7 +9,7 @@ what short hair and close clothes add, and only the trunk, where people differ, 
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from avatar.body import builtin_body
@@ -21,6 +21,8 @@ TRUNK, LIMBS, SCALP = 0.10, 0.03, 0.015
 # metres, on the male body, above the pelvis and before it: the scalp lies over the brows, or behind the ears above
 # the nape
 HAIRLINE, BEHIND, NAPE = 0.705, -0.005, 0.575
+# metres: half the width of the face's profile
+PROFILE = 0.03
 # metres over which the scalp's rises from nothing at its edge
 RISE = 0.03
 TRUNK_JOINTS = [JOINTS.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")]
@@ -48,3 +50,15 @@ def scalp_standoff() -> Float[Array, "vertices"]:
     over = x[:, 1] - HAIRLINE
     behind = np.minimum(BEHIND - x[:, 2], x[:, 1] - NAPE)
     return np.where(head, SCALP * np.clip(np.maximum(over, behind) / RISE, 0, 1), 0.0)
+
+
+@cache
+def head_outlined() -> Bool[Array, "vertices"]:
+    """Vertices whose outlines tell where the head is: over the hairline, and the face's profile.
+
+    Long hair hides the rest: a skull that narrows towards its neck would be drawn down, and tilted, into hair that does
+    not.
+    """
+    body = builtin_body("male")
+    x, head = body.vertices, dense_weights(body.skin)[:, HEAD] > 0.5
+    return head & ((x[:, 1] > HAIRLINE) | (np.abs(x[:, 0]) < PROFILE) & (x[:, 2] > 0))

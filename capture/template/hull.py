@@ -184,6 +184,9 @@ def carve(
         return None
     # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin
     edge = least * (1 - distance_to(standing) * cell / beside)
+    # where hair stands off, the scalp has some all over: outlines drew it out as far as short hair only
+    grows = (y > scalp.brow) | (y > scalp.neck + CHIN) & (z < scalp.middle[1])
+    edge = np.where(grows, least, edge)
     solid = hull & (distance > -2 * cell) & (distance < edge) | standing
     return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
 
