@@ -8,6 +8,7 @@ import pytest
 from avatar.kinematics import pose_rows, posed, shape_rows, skinned
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
+from avatar.skinning import dense_weights
 from capture.fit import hand, head
 from capture.fit.body import CUTS, MOVING, body_names
 from capture.fit.contours import Silhouette
@@ -82,7 +83,8 @@ def test_outlines_of_thicker_fingers_do_not_draw_the_hand_nearer():
     assert np.linalg.norm(joints_off(truth, found, "left"), axis=2).mean() < 0.006
 
 
-def test_head_is_followed_through_frames_that_show_no_face():
+def once_round():
+    """A head that turns once, the turn of each frame, and footage in which no face is seen from behind."""
     person = person_of("female")
     turn = 2 * np.pi * np.arange(FRAMES) / FRAMES
     heading = matrix_from_axis_angle(turn[:, None] * [0, 1.0, 0])
@@ -90,16 +92,32 @@ def test_head_is_followed_through_frames_that_show_no_face():
     truth = truth_of(person, np.array([0, 0, -0.7]) - heading @ neck, heading, np.zeros((FRAMES, 52, 3)))
     truth, footage = shown(truth, head.NAMES, np.zeros(0, np.int64))
     behind = np.cos(turn) < -0.3
-    footage = replace(footage, sure=np.where(behind[:, None], 0.0, footage.sure))
-    found = head.first_guess(person, truth.g, footage)
-    priors = head.turning(found, footage)
-    found = solve(found, footage, priors, cuts=(head.FIRST, *CUTS), rounds=10)
-    off = degrees(heading, found.heading)
+    return truth, behind, replace(footage, sure=np.where(behind[:, None], 0.0, footage.sure))
+
+
+def test_head_is_followed_through_frames_that_show_no_face():
+    truth, behind, footage = once_round()
+    found, _ = head.fit_keypoints(truth.person, truth.g, footage)
+    off = degrees(truth.heading, found.heading)
     assert off[~behind].max() < 1.5 and off[behind].max() < 8
     cameras = head.camera_from_head(found)
     # a point of the head lands where the person has it
+    neck = truth.person.body.joints[head.HEAD]
     x = cameras[0, :3, :3] @ neck + cameras[0, :3, 3]
     np.testing.assert_allclose(x, [0, 0, 0.7], atol=0.01)
+
+
+def test_long_hair_draws_no_head_down_into_itself():
+    truth, behind, footage = once_round()
+    x, over = truth.person.body.vertices, head.head_outlined()
+    near = dense_weights(truth.person.body.skin)[:, [JOINTS.index("neck"), head.HEAD]].sum(1) > 0.5
+    hair = np.where(near & ~over & (x[:, 2] < 0.03), 0.05, 0.0)
+    found = head.fit_head(truth.person, truth.g, in_clothes(truth, footage, hair), lambda line: None)
+    off = degrees(truth.heading, found.heading)
+    assert off[~behind].max() < 2 and off[behind].max() < 12  # 6 and 25 with outlines of the whole head
+    crown = np.array([x[:, 1].argmax()])
+    at, true = (np.stack([skinned(f, e.skin(crown)) for f in posed_frames(e).each]) for e in (found, truth))
+    assert np.linalg.norm(at - true, axis=-1).max() < 0.055
 
 
 def turning_head(**changed):
