@@ -121,4 +121,4 @@ def test_background_counts_pictures_that_hold_the_point_and_the_mesh_of_hair_is_
     assert hair is not None
     vertices, faces = closed_surface(0.5 - hair.share, hair.low, hair.cell, 0.5)
     assert not find_faults(faces, len(vertices))
-    assert enclosed_volume(TriangleMesh(vertices, faces)) == pytest.approx(hair.share.sum() * CELL**3, rel=0.03)
+    assert enclosed_volume(TriangleMesh(vertices, faces)) == pytest.approx(hair.share.sum() * CELL**3, rel=0.04)
