@@ -5,8 +5,11 @@ same command goes on. OUT.making beside the avatar holds what they leave.
 """
 
 import json
+import os
 import shutil
+import sys
 import time
+import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -117,9 +120,39 @@ def worth_it(trained: Path, template: Path) -> bool:
     return False
 
 
+def show_page(address: str) -> None:
+    """Open a page in the user's browser, and say its address where there may be none."""
+    print(f"  {address}", flush=True)
+    # without a display it would be one that takes the terminal
+    if sys.platform in ("win32", "darwin") or "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ:
+        webbrowser.open(address)
+
+
+def clicking(wanted: MakeCommand) -> tuple[Path, Stage] | None:
+    """The body's film and the stage in which the person clicks its keypoints; None: they are there, are found by a
+    detector, or nobody sits at the terminal."""
+    from capture.raw.click import click_joints
+    from capture.raw.four_videos import find_videos
+    from capture.raw.video_file import open_video
+
+    reading, body = wanted.reading, find_videos(wanted.films)["body"]
+    product = wanted.work / "keypoints" / "body.json"
+    there = reading.keypoints != "auto" or reading.models is not None or (body.parent / "keypoints").is_dir()
+    if there or not (product.exists() or sys.stdin.isatty()):
+        return None
+
+    def run() -> None:
+        print(f"no keypoints beside {body.name} and no --models: click your joints on this page. Head and hands are "
+              "cut from the body's film; for films of their own a detector is needed (docs/capture.md).")  # fmt: skip
+        product.parent.mkdir(exist_ok=True)
+        click_joints(open_video(body), product, show_page)
+
+    return body, Stage("your joints, clicked by you", product, run, 5.0)
+
+
 def make_stages(wanted: MakeCommand) -> list[Stage]:
     """The commands, in order, and how many minutes each takes on two quiet cores."""
-    work, began = wanted.work, time.monotonic()
+    work, began, clicked = wanted.work, time.monotonic(), clicking(wanted)
     capture, first, run_folder = work / "capture", work / "first", work / f"fields_{wanted.minutes}"
     better = work / "better.glb"
 
@@ -135,8 +168,12 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
 
         return Stage(name, product, run, minutes)
 
-    read = ["selfscan", "import", "video", *wanted.films, "-o", capture, *words_of(wanted.reading)]
+    films, points = wanted.films, []
+    if clicked is not None:
+        films, points = [clicked[0]], ["--keypoints", clicked[1].product.parent]
+    read = ["selfscan", "import", "video", *films, "-o", capture, *words_of(wanted.reading), *points]
     stages = [
+        *([clicked[1]] if clicked else []),
         Stage("read the films and fit the person", capture / "capture.json", command(*read), 1.7),
         Stage("the template in the films' colors", first / "run.json",
               command("selfscan", "train", capture, "-o", first, "--preset", "preview"), 1.3),

@@ -55,8 +55,10 @@ def select(judged: Judged, most: int) -> KeptFrames:
     if good.sum() < min(most, 0.3 * judged.usable.sum()):
         good = judged.usable
     rows = np.flatnonzero(good)
+    if len(rows) <= most:
+        return KeptFrames(rows, left_out)
     way = movement(at)
-    goals = np.linspace(way[rows[0]], way[rows[-1]], min(most, len(rows)) + 1)
+    goals = np.linspace(way[rows[0]], way[rows[-1]], most + 1)
     kept = []
     for low, high in zip(goals[:-1], goals[1:]):
         near = rows[(way[rows] >= low) & (way[rows] <= high)]

@@ -148,7 +148,8 @@ def _import_video(command: VideoCommand) -> list[str]:
         try:
             models = model_files(reading.models)
         except AssetError as error:
-            raise AssetError(f"{beside}: expected {KEYPOINTS}, found no such folder; {error}") from None
+            raise AssetError(f"{beside}: expected {KEYPOINTS}, found no such folder; {error}; "
+                             "`selfscan make` lets you click them") from None  # fmt: skip
         keypoints = command.out.with_name(command.out.name + ".keypoints")
         _detect(keypoints, files, models)
     masks = None if reading.masks == "auto" else Path(reading.masks)

@@ -1,0 +1,157 @@
+"""Joints that the person clicks, where there is no detector: pictures of the body's film on a page in the browser.
+
+Twelve joints, and the nose, without which limbs seen from before and from behind are the same. The page is served on
+127.0.0.1 alone, under a name that cannot be guessed. What was clicked is written as MMPose does, in Halpe's order. Of
+all other frames only the ankles are said, between where they were clicked: enough to know that somebody is there, too
+little to be fitted.
+"""
+
+import io
+import json
+import secrets
+from collections.abc import Callable, Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
+from PIL import Image
+
+from capture.keypoints.orders import HALPE_26
+from capture.keypoints.record import SIDES, number
+from capture.raw.glance import SMALL
+from capture.raw.judge import FEWEST
+from capture.raw.video_file import VideoFile, read_frames
+from command.errors import AssetError
+from files.input_file import parse_json
+from files.whole import whole_file
+
+LIMBS = (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
+POINTS = (*(f"{side}_{name}" for limb in LIMBS for side in SIDES for name in limb), "nose")
+# the first and the last may be of stepping in and out
+PICTURES = 10
+# grey levels, and share of the picture, by which somebody who steps in changes it
+CHANGE, SHARE = 25, 0.01
+# share of the clicked points that differ from the film's first frame, where that one is of the empty room
+OFF_ROOM = 0.7
+ANKLE = 0.5
+MOST_BYTES = 1 << 20
+Clicked = dict[int, Float[Array, "13 3"]]
+
+
+def click_joints(video: VideoFile, out: Path, say: Callable[[str], None] = print) -> None:
+    """Let the person click, and write the keypoints of the film to `out`. `say` is told where the page is."""
+    changes = _changes(video)
+    first, count = int((changes > SHARE).argmax()), len(changes)
+    numbers = np.linspace(first, count - 1, 2 * PICTURES + 1)[1::2].astype(int).tolist()
+    pictures = {frame.number: frame.picture for frame in read_frames(video, only=frozenset([0, *numbers]))}
+    room = pictures.pop(0).astype(np.int16)
+    clicked = answered(pictures, say)
+    off = [np.abs(pictures[k][int(y), int(x)] - room[int(y), int(x)]).max() > CHANGE
+           for k, rows in clicked.items() for x, y, seen in rows if seen]  # fmt: skip
+    write_clicked(out, clicked, count, first if np.mean(off) > OFF_ROOM else 0)
+
+
+def _changes(video: VideoFile) -> Float[Array, "frames"]:
+    """The share of each frame that differs from the first one, a change of the exposure allowed for."""
+    out, room = [], None
+    for frame in read_frames(video, SMALL, grey=True):
+        grey = frame.picture.astype(np.float32)
+        room = grey if room is None else room
+        out.append(float((np.abs(grey - room - np.median(grey - room)) > CHANGE).mean()))
+    return np.array(out)
+
+
+def answered(pictures: Mapping[int, UInt8[Array, "height width 3"]], say: Callable[[str], None]) -> Clicked:
+    """Serve the page until its answer comes: x, y and whether it is seen of each of POINTS, by picture."""
+    place, found = f"/{secrets.token_urlsafe(16)}/", {}
+    page = (files("capture.raw") / "click.html").read_text("utf-8")
+    facts = json.dumps({"pictures": sorted(pictures), "points": POINTS, "fewest": FEWEST})
+    content = {place: ("text/html; charset=utf-8", page.replace("@FACTS@", facts).encode())}
+    content |= {f"{place}{k}.jpg": ("image/jpeg", _jpeg(picture)) for k, picture in pictures.items()}
+
+    class Page(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send(200, *content[self.path]) if self.path in content else self.send(404, "text/plain", b"")
+
+        def do_POST(self) -> None:
+            length = self.headers.get("Content-Length", "")
+            if self.path != f"{place}points" or not (length.isdecimal() and int(length) <= MOST_BYTES):
+                return self.send(404, "text/plain", b"")
+            try:
+                found.update(_read_answer(self.rfile.read(int(length)), pictures))
+            except AssetError as error:
+                return self.send(400, "text/plain; charset=utf-8", str(error).encode())
+            self.send(200, "text/plain", b"")
+            self.server.shutdown()
+
+        def send(self, code: int, kind: str, body: bytes) -> None:
+            self.send_response(code)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_line: object) -> None:
+            """Nothing is printed for a request."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:
+        say(f"http://127.0.0.1:{server.server_port}{place}")
+        server.serve_forever(0.1)
+    return found
+
+
+def _jpeg(picture: UInt8[Array, "height width 3"]) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "JPEG", quality=92)
+    return file.getvalue()
+
+
+def _read_answer(data: bytes, pictures: Mapping[int, Array]) -> Clicked:
+    """What the page sends: by picture a list of [x, y] or null of each of POINTS.
+
+    Raises:
+        AssetError: it is not, or of too few pictures.
+    """
+    place, out = "clicked joints", {}
+    answer = parse_json(data, place, "places by picture")
+    names = {str(k): k for k in pictures}
+    if not isinstance(answer, dict) or not set(answer) <= set(names) or len(answer) < FEWEST:
+        raise AssetError(f"{place}: expected {FEWEST} or more of the pictures {', '.join(names)}")
+    for name, points in answer.items():
+        if not isinstance(points, list) or len(points) != len(POINTS):
+            raise AssetError(f"{place}: picture {name}: expected {len(POINTS)} places")
+        rows = out[names[name]] = np.zeros((len(POINTS), 3))
+        for k, point in enumerate(points):
+            if point is None:
+                continue
+            if not isinstance(point, list) or len(point) != 2:
+                raise AssetError(f"{place}: picture {name}: {POINTS[k]} should be [x, y] or null, is {str(point)[:40]}")
+            height, width = pictures[names[name]].shape[:2]
+            most = np.nextafter([width, height], 0)
+            rows[k] = *np.clip([number(f"{place}: picture {name}", v) for v in point], 0, most), 1
+    return out
+
+
+def write_clicked(out: Path, clicked: Clicked, count: int, first: int) -> None:
+    """Keypoints of `count` frames, in which somebody is from the frame `first` on."""
+    rows, numbers = np.zeros((count, len(HALPE_26), 3)), np.array(sorted(clicked))
+    rows[numbers[:, None], [HALPE_26.index(name) for name in POINTS]] = [clicked[k] for k in numbers]
+    others = np.setdiff1d(np.arange(first, count), numbers)
+    for ankle in (HALPE_26.index(f"{side}_ankle") for side in SIDES):
+        known = numbers[rows[numbers, ankle, 2] > 0]
+        if len(known):
+            for axis in range(2):
+                rows[others, ankle, axis] = np.interp(others, known, rows[known, ankle, axis])
+            rows[others, ankle, 2] = ANKLE
+    # MMPose counts pixels from the middle of the first one
+    rows[..., :2] -= 0.5
+    people = [
+        [{"keypoints": row[:, :2].round(2).tolist(), "keypoint_scores": row[:, 2].tolist()}] if row[:, 2].any() else []
+        for row in rows
+    ]
+    infos = [{"frame_id": k, "instances": found} for k, found in enumerate(people)]
+    with whole_file(out, "w") as file:
+        json.dump({"instance_info": infos}, file)
