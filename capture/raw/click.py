@@ -47,8 +47,8 @@ def click_joints(video: VideoFile, out: Path, say: Callable[[str], None] = print
     first, count = int((changes > SHARE).argmax()), len(changes)
     numbers = np.linspace(first, count - 1, 2 * PICTURES + 1)[1::2].astype(int).tolist()
     pictures = {frame.number: frame.picture for frame in read_frames(video, only=frozenset([0, *numbers]))}
-    room = pictures.pop(0).astype(np.int16)
-    clicked = answered(pictures, say)
+    room = pictures[0].astype(np.int16)
+    clicked = answered({k: pictures[k] for k in numbers}, say)
     off = [np.abs(pictures[k][int(y), int(x)] - room[int(y), int(x)]).max() > CHANGE
            for k, rows in clicked.items() for x, y, seen in rows if seen]  # fmt: skip
     write_clicked(out, clicked, count, first if np.mean(off) > OFF_ROOM else 0)
