@@ -1,5 +1,6 @@
 """Which frames of a video are fitted: evenly over the movement, the sharpest near each, none that would harm."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,14 +15,16 @@ from capture.raw.judge import BLURRED, Judged
 STEADY = 0.4
 # a frame's points off their own track, in units of what is usual, beyond which the frame is an outlier
 OUTLIER = 6.0
-# share of the eyes' usual opening: below it they blink
-BLINK = 0.55
+# share of the eyes' usual opening: below it they blink; the mouth's height over the nose's beyond its usual: it is open
+BLINK, AJAR = 0.55, 0.2
 # share of the height of the body's points: how far trunk and legs may be to the side of where they usually are; beyond
 # it the person steps in or out, which is no turn
 ASIDE = 0.12
 UPRIGHT = ("hip", "shoulder", "knee", "ankle")
-# points of the eyes: corner, two above, corner, two below
-EYES = tuple(tuple(f"face_{k}" for k in range(first, first + 6)) for first in (36, 42))
+# numbers of the face's points: a length, then heights of the opening
+EYES = (((36, 39), (37, 41), (38, 40)), ((42, 45), (43, 47), (44, 46)))
+# a mouth against the nose, which no turn of the head makes narrower
+MOUTH = (((27, 33), (61, 67), (62, 66), (63, 65)),)
 
 
 @dataclass(frozen=True)
@@ -44,16 +47,17 @@ def select(judged: Judged, most: int) -> KeptFrames:
     found = at.found
     usual = np.median(at.sharpness[found]) if found.any() else 0.0
     blurred = found & (at.sharpness < BLURRED * usual)
-    astray, blinking, aside = _astray(at) & found, _blinks(at), _aside(at)
+    astray, (blinking, talking), aside = _astray(at) & found, moving_face(at), _aside(at)
     left_out = {
         "blurred": int(blurred.sum()), "with closed eyes": int((blinking & ~blurred).sum()),
+        "with an open mouth": int((talking & ~blurred).sum()),
         "whose keypoints jump": int((astray & ~blurred).sum()), "of stepping in": int((aside & judged.usable).sum()),
         "cut off or with another person": int((found & ~judged.usable & ~blurred).sum()),
     }  # fmt: skip
-    good = judged.usable & ~blurred & ~astray & ~blinking & ~aside
+    good = judged.usable & ~blurred & ~astray & ~blinking & ~talking & ~aside
     # where all would go, harm is taken over nothing
     if good.sum() < min(most, 0.3 * judged.usable.sum()):
-        good = judged.usable
+        good, left_out = judged.usable, {}
     rows = np.flatnonzero(good)
     if len(rows) <= most:
         return KeptFrames(rows, left_out)
@@ -122,24 +126,37 @@ def _aside(at: Glance) -> Bool[Array, "frames"]:
     return out
 
 
-def _blinks(at: Glance) -> Bool[Array, "frames"]:
-    """Frames of the head video whose eyes are less open than usual, where both are seen."""
-    out = np.zeros(len(at.times), bool)
+def moving_face(at: Glance) -> tuple[Bool[Array, "frames"], Bool[Array, "frames"]]:
+    """Frames of the head video whose eyes are less open than usual, and whose mouth is more.
+
+    Openings are heights over a length (Soukupova and Cech 2016), each against the film's own median: who
+    always smiles, or has narrow eyes, loses nothing.
+    """
+    eyes, mouth = _opening(at, EYES), _opening(at, MOUTH)
+    with np.errstate(invalid="ignore"):
+        return eyes < BLINK * _usual(eyes), mouth > AJAR + _usual(mouth)
+
+
+def _usual(opening: Float[Array, "frames"]) -> float:
+    return float(np.nanmedian(opening)) if np.isfinite(opening).any() else np.nan
+
+
+def _opening(at: Glance, lines: Sequence[Sequence[tuple[int, int]]]) -> Float[Array, "frames"]:
+    """Mean height over the length where all points are seen, three frames' median; NaN elsewhere and in other videos.
+
+    A blink lasts a tenth of a second, a detector's slip one frame.
+    """
+    out = np.full(len(at.times), np.nan)
     if at.part != "head":
         return out
-    openings = []
-    for eye in EYES:
-        points = np.stack([at.keypoints.seen(name) for name in eye], 1)
-        sure = (points[..., 2] > 0.5).all(1)
+    each = []
+    for across, *down in lines:
+        ends = np.array([[at.keypoints.seen(f"face_{k}") for k in pair] for pair in (across, *down)])
+        sure = (ends[..., 2] > 0.5).all((0, 1))
         with np.errstate(invalid="ignore", divide="ignore"):
-            high = np.linalg.norm(points[:, [1, 2], :2] - points[:, [5, 4], :2], axis=2).mean(1)
-            wide = np.linalg.norm(points[:, 0, :2] - points[:, 3, :2], axis=1)
-            openings.append(np.where(sure, high / wide, np.nan))
-    both = np.isfinite(openings).all(0)
-    if both.sum() < 8:
-        return out
-    opening = np.mean(np.array(openings)[:, both], axis=0)
-    # three frames' median: a blink lasts a tenth of a second, a detector's slip one frame
-    steady = ndimage.median_filter(opening, 3)
-    out[both] = steady < BLINK * np.median(opening)
+            length = np.linalg.norm(ends[:, 0, :, :2] - ends[:, 1, :, :2], axis=2)
+            each.append(np.where(sure, length[1:].mean(0) / length[0], np.nan))
+    seen = np.isfinite(each).all(0)
+    if seen.sum() >= 8:
+        out[seen] = ndimage.median_filter(np.mean(np.array(each)[:, seen], axis=0), 3)
     return out
