@@ -90,7 +90,7 @@ def test_clicks_keys_and_undo_in_a_browser_give_the_places_that_were_clicked(pag
     expected = [[10 + n, 20, 1] for n in range(13)]
     expected[2], expected[5] = [0, 0, 0], [90, 20, 1]
     for rows in clicked.values():
-        np.testing.assert_allclose(rows, expected, atol=0.05)
+        np.testing.assert_allclose(rows, expected, atol=0.3)  # a click is a whole pixel of the screen
 
 
 def clicks(found, noise):
