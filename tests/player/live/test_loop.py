@@ -176,8 +176,13 @@ def test_silent_senders_give_their_place_to_a_new_one(web_socket, monkeypatch):
         sender = senders.enter_context(connect(url))
         sender.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.0, sequence=0))
         assert inbox.wait(0, 10)
-        with pytest.raises(ConnectionClosed, match="silent, and others wait"):
-            silent[0].recv(timeout=5)
+        # whichever of them was admitted first
+        for one in silent * 40:
+            with suppress(TimeoutError):
+                with pytest.raises(ConnectionClosed, match="silent, and others wait"):
+                    one.recv(timeout=0.02)
+                return
+        raise AssertionError("all keep their places")
 
 
 def test_taken_ports_foreign_hosts_and_a_missing_package_are_one_line(monkeypatch):
