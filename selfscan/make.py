@@ -130,7 +130,7 @@ def show_page(address: str) -> None:
 
 def clicking(wanted: MakeCommand) -> tuple[Path, Stage] | None:
     """The body's film and the stage in which the person clicks its keypoints; None: they are there, are found by a
-    detector, or nobody sits at the terminal."""
+    detector, or there is no terminal."""
     from capture.raw.click import click_joints
     from capture.raw.four_videos import find_videos
     from capture.raw.video_file import open_video

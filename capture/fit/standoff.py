@@ -54,7 +54,7 @@ def scalp_standoff() -> Float[Array, "vertices"]:
 
 @cache
 def head_outlined() -> Bool[Array, "vertices"]:
-    """Vertices whose outlines tell where the head is: over the hairline, and the face's profile.
+    """Vertices whose outlines show where the head is: over the hairline, and the face's profile.
 
     Long hair hides the rest: a skull that narrows towards its neck would be drawn down, and tilted, into hair that does
     not.

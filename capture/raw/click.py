@@ -2,8 +2,8 @@
 
 Twelve joints, and the nose, without which limbs seen from before and from behind are the same. The page is served on
 127.0.0.1 alone, under a name that cannot be guessed. What was clicked is written as MMPose does, in Halpe's order. Of
-all other frames only the ankles are said, between where they were clicked: enough to know that somebody is there, too
-little to be fitted.
+all other frames only the ankles are written, between where they were clicked: enough to know that a person is there,
+too little to be fitted.
 """
 
 import io
@@ -22,7 +22,7 @@ from PIL import Image
 from capture.keypoints.orders import HALPE_26
 from capture.keypoints.record import SIDES, number
 from capture.raw.glance import SMALL
-from capture.raw.judge import FEWEST
+from capture.raw.judge import FEWEST_CLEAR
 from capture.raw.video_file import VideoFile, read_frames
 from command.errors import AssetError
 from files.input_file import parse_json
@@ -32,17 +32,22 @@ LIMBS = (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
 POINTS = (*(f"{side}_{name}" for limb in LIMBS for side in SIDES for name in limb), "nose")
 # the first and the last may be of stepping in and out
 PICTURES = 10
-# grey levels, and share of the picture, by which somebody who steps in changes it
+# grey levels, and share of the picture, by which a person who steps in changes it
 CHANGE, SHARE = 25, 0.01
 # share of the clicked points that differ from the film's first frame, where that one is of the empty room
 OFF_ROOM = 0.7
+# confidence of an ankle between clicked frames
 ANKLE = 0.5
 MOST_BYTES = 1 << 20
 Clicked = dict[int, Float[Array, "13 3"]]
 
 
 def click_joints(video: VideoFile, out: Path, say: Callable[[str], None] = print) -> None:
-    """Let the person click, and write the keypoints of the film to `out`. `say` is told where the page is."""
+    """Let the person click, and write the keypoints of the film to `out`. `say` gets the page's address.
+
+    Raises:
+        AssetError: the film cannot be read.
+    """
     changes = _changes(video)
     first, count = int((changes > SHARE).argmax()), len(changes)
     numbers = np.linspace(first, count - 1, 2 * PICTURES + 1)[1::2].astype(int).tolist()
@@ -51,7 +56,7 @@ def click_joints(video: VideoFile, out: Path, say: Callable[[str], None] = print
     clicked = answered({k: pictures[k] for k in numbers}, say)
     off = [np.abs(pictures[k][int(y), int(x)] - room[int(y), int(x)]).max() > CHANGE
            for k, rows in clicked.items() for x, y, seen in rows if seen]  # fmt: skip
-    write_clicked(out, clicked, count, first if np.mean(off) > OFF_ROOM else 0)
+    write_clicked(out, clicked, count, first if off and np.mean(off) > OFF_ROOM else 0)
 
 
 def _changes(video: VideoFile) -> Float[Array, "frames"]:
@@ -68,7 +73,7 @@ def answered(pictures: Mapping[int, UInt8[Array, "height width 3"]], say: Callab
     """Serve the page until its answer comes: x, y and whether it is seen of each of POINTS, by picture."""
     place, found = f"/{secrets.token_urlsafe(16)}/", {}
     page = (files("capture.raw") / "click.html").read_text("utf-8")
-    facts = json.dumps({"pictures": sorted(pictures), "points": POINTS, "fewest": FEWEST})
+    facts = json.dumps({"pictures": sorted(pictures), "points": POINTS, "fewest": FEWEST_CLEAR})
     content = {place: ("text/html; charset=utf-8", page.replace("@FACTS@", facts).encode())}
     content |= {f"{place}{k}.jpg": ("image/jpeg", _jpeg(picture)) for k, picture in pictures.items()}
 
@@ -118,8 +123,8 @@ def _read_answer(data: bytes, pictures: Mapping[int, Array]) -> Clicked:
     place, out = "clicked joints", {}
     answer = parse_json(data, place, "places by picture")
     names = {str(k): k for k in pictures}
-    if not isinstance(answer, dict) or not set(answer) <= set(names) or len(answer) < FEWEST:
-        raise AssetError(f"{place}: expected {FEWEST} or more of the pictures {', '.join(names)}")
+    if not isinstance(answer, dict) or not set(answer) <= set(names) or len(answer) < FEWEST_CLEAR:
+        raise AssetError(f"{place}: expected {FEWEST_CLEAR} or more of the pictures {', '.join(names)}")
     for name, points in answer.items():
         if not isinstance(points, list) or len(points) != len(POINTS):
             raise AssetError(f"{place}: picture {name}: expected {len(POINTS)} places")
@@ -136,7 +141,7 @@ def _read_answer(data: bytes, pictures: Mapping[int, Array]) -> Clicked:
 
 
 def write_clicked(out: Path, clicked: Clicked, count: int, first: int) -> None:
-    """Keypoints of `count` frames, in which somebody is from the frame `first` on."""
+    """Keypoints of `count` frames, in which a person is from the frame `first` on."""
     rows, numbers = np.zeros((count, len(HALPE_26), 3)), np.array(sorted(clicked))
     rows[numbers[:, None], [HALPE_26.index(name) for name in POINTS]] = [clicked[k] for k in numbers]
     others = np.setdiff1d(np.arange(first, count), numbers)

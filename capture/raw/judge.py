@@ -27,8 +27,8 @@ SAME = 6.0
 STANDS = 24
 # share of a video's usual sharpness: a frame below is blurred
 BLURRED = 0.55
-# frames of a person who is fitted
-FEWEST = 6
+# sharp frames of a whole person, with which the fit begins
+FEWEST_CLEAR = 6
 # share of the points that lie where the picture changed: with fewer they belong to another video
 ON_PERSON = 0.5
 LIMBS = {
@@ -138,7 +138,7 @@ def judge(at: Glance) -> Judged:
         # all else that could be said of it follows from that
         add(True, turn, "turn the video upright and detect keypoints again")
         return Judged(at, empty, found, tuple(problems))
-    if clear.sum() < 0.2 * found.sum() or clear.sum() < FEWEST:
+    if clear.sum() < 0.2 * found.sum() or clear.sum() < FEWEST_CLEAR:
         advice = "film again with it in the middle"
         if part.startswith("hand"):
             other = at.keypoints.confidence[:, _columns(at, hand_points(SIDES[part.endswith("left")]))] > SURE

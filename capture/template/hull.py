@@ -63,12 +63,14 @@ class Trust(NamedTuple):
     trunk: float  # metres off the trunk that are hair
     over: float  # metres over the head's lowest skin to which shoulders may rise
     beside: float  # metres beside what stands off before the nape, over which its edge sinks to the trunk
+    # whether outlines drew the scalp out, as far as short hair: where more stands off, it then has hair all over
+    drawn_out: bool
 
 
-GIVEN = Trust(0.1, STANDS_OFF, 0.0, BESIDE)
+GIVEN = Trust(0.1, STANDS_OFF, 0.0, BESIDE, drawn_out=False)
 # poses from the videos: outlines are a centimetre off, shoulders two, and a tenth of the views contradicts half of the
 # hair; an edge as wide as in what is given is a plate on the shoulder
-ESTIMATED = Trust(0.2, 0.025, 0.03, 0.015)
+ESTIMATED = Trust(0.2, 0.025, 0.03, 0.015, drawn_out=True)
 
 
 class MaskView(NamedTuple):
@@ -161,6 +163,7 @@ def carve(
     low = template.low.astype(np.float64)
     axes = [low[i] + cell * np.arange(distance.shape[i]) for i in range(3)]
     _, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
+    behind = (y > scalp.neck + CHIN) & (z < scalp.middle[1])
     held = distance < 0
     asked = np.argwhere(~held & (distance < FARTHEST))
     share, seen = background_share(low + cell * asked, views)
@@ -168,8 +171,7 @@ def carve(
     if pictures is not None:
         sure = None
         if pictures.bare is not None:
-            grows = (y > scalp.neck + CHIN) & (z < scalp.middle[1])
-            sure = Sure(np.broadcast_to(grows, held.shape), pictures.bare)
+            sure = Sure(np.broadcast_to(behind, held.shape), pictures.bare)
         held &= ~carve_hollows(held, held & (distance > cell), low, cell, pictures.subject, pictures.views, sure)
     hull = distance_to(~held) * cell > ERODED
     head = y > scalp.neck + np.where(z > scalp.middle[1] - NAPE, trust.over, 0.0)
@@ -184,9 +186,8 @@ def carve(
         return None
     # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin
     edge = least * (1 - distance_to(standing) * cell / beside)
-    # where hair stands off, the scalp has some all over: outlines drew it out as far as short hair only
-    grows = (y > scalp.brow) | (y > scalp.neck + CHIN) & (z < scalp.middle[1])
-    edge = np.where(grows, least, edge)
+    if trust.drawn_out:
+        edge = np.where((y > scalp.brow) | behind, least, edge)
     solid = hull & (distance > -2 * cell) & (distance < edge) | standing
     return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
 
