@@ -1,0 +1,90 @@
+"""True people and their avatars beside each other: face, side of the head, front, back: docs/pictures/twelve.png.
+
+python -m experiments.beside_sheet docs/pictures/twelve.png builtin:2=two.glb person.glb=made.glb ...
+"""
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+
+from avatar.camera import Camera, orbit_camera
+from avatar.gltf.avatar_file import read_avatar
+from avatar.skeleton import JOINTS, joint_transforms
+from files.whole import whole_file
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
+from player.scene.offscreen import OffscreenRenderer
+from synth.command import load_subject
+from synth.light import STILL
+from synth.photo import Studio
+
+HEAD, PELVIS = JOINTS.index("head"), JOINTS.index("pelvis")
+# joint, metres over it, azimuth, distance (metres), field of view (degrees)
+VIEWS = ((HEAD, 0.08, 0.0, 0.72, 30), (HEAD, 0.08, 0.9, 0.72, 30), (PELVIS, -0.05, 0.35, 2.9, 38),
+         (PELVIS, -0.05, np.pi, 2.9, 38))  # fmt: skip
+GROUND = np.uint8([44, 45, 51])
+ROOT = np.zeros(3)
+
+
+def hanging_arms() -> Float[np.ndarray, "52 3"]:
+    """A pose with the arms down."""
+    pose = np.zeros((len(JOINTS), 3))
+    pose[[JOINTS.index("left_shoulder"), JOINTS.index("right_shoulder")], 2] = -1.2, 1.2
+    return pose
+
+
+def cameras(joints: Float[np.ndarray, "52 3"], side: int) -> Iterator[Camera]:
+    """Of a person with those joints in pose 0, whose pelvis is at ROOT."""
+    place = joint_transforms(hanging_arms(), joints)[:, :3, 3]
+    for joint, over, azimuth, distance, field in VIEWS:
+        target = place[joint] - place[PELVIS] + [0, over, 0]
+        yield orbit_camera(target, distance, azimuth, 0.05, (side, side), np.radians(field))
+
+
+def true_tiles(name: str, side: int) -> list[UInt8[np.ndarray, "side side 3"]]:
+    """The person that was filmed, in soft light."""
+    subject = load_subject(name)
+    with open_context() as context:
+        studio = Studio(Rasteriser(context), subject, 2)
+        vertices = studio.posed(hanging_arms(), ROOT)
+        shots = [studio.take(vertices, camera, STILL["soft"], 0.0) for camera in cameras(subject.joints, side)]
+    return [np.where(shot.mask[..., None] > 0, shot.image, GROUND) for shot in shots]
+
+
+def avatar_tiles(path: str, side: int) -> list[UInt8[np.ndarray, "side side 3"]]:
+    """The avatar as the player draws it."""
+    avatar = read_avatar(path)
+    with OffscreenRenderer(avatar, size=(side, side)) as renderer:
+        views = cameras(np.asarray(avatar.joint_positions, np.float64), side)
+        return [renderer.draw(hanging_arms(), ROOT, camera)[..., :3] for camera in views]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.beside_sheet", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("out", type=Path)
+    parser.add_argument("pairs", nargs="+", metavar="PERSON=AVATAR", help="as `synth` takes a person, and its .glb")
+    parser.add_argument("--side", type=int, default=200, help="pixels of a picture")
+    options = parser.parse_args(argv)
+    rows = []
+    for pair in options.pairs:
+        person, _, avatar = pair.rpartition("=")
+        both = zip(true_tiles(person, options.side), avatar_tiles(avatar, options.side), strict=True)
+        rows.append(np.concatenate([np.concatenate(tiles, 1) for tiles in both], 1))
+    # two columns of people
+    rows += [np.full_like(rows[0], 0)] * (len(rows) % 2)
+    half = len(rows) // 2
+    sheet = np.concatenate([np.concatenate(rows[:half]), np.concatenate(rows[half:])], 1)
+    with whole_file(options.out, "wb") as file:
+        Image.fromarray(sheet).save(file, "PNG", optimize=True)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
