@@ -26,7 +26,7 @@ HEAD, PELVIS = JOINTS.index("head"), JOINTS.index("pelvis")
 # joint, metres over it, azimuth, distance (metres), field of view (degrees)
 VIEWS = ((HEAD, 0.08, 0.0, 0.72, 30), (HEAD, 0.08, 0.9, 0.72, 30), (PELVIS, -0.05, 0.35, 2.9, 38),
          (PELVIS, -0.05, np.pi, 2.9, 38))  # fmt: skip
-GROUND = np.uint8([44, 45, 51])
+GROUND = np.array([44, 45, 51], np.uint8)
 ROOT = np.zeros(3)
 
 
@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         both = zip(true_tiles(person, options.side), avatar_tiles(avatar, options.side), strict=True)
         rows.append(np.concatenate([np.concatenate(tiles, 1) for tiles in both], 1))
     # two columns of people
-    rows += [np.full_like(rows[0], 0)] * (len(rows) % 2)
+    rows += [np.zeros_like(rows[0])] * (len(rows) % 2)
     half = len(rows) // 2
     sheet = np.concatenate([np.concatenate(rows[:half]), np.concatenate(rows[half:])], 1)
     with whole_file(options.out, "wb") as file:
