@@ -27,8 +27,8 @@ from geometry.cells import distance_to, nearest_marked, pieces
 WALKED = 300
 # deviations at which a pixel is as likely the person's as not, and how sharply that turns
 EVEN, SHARP = 4.0, 1.0
-# probabilities beyond which a pixel needs no walk
-CERTAIN = 0.96
+# probabilities beyond which a pixel needs no walk, and up to which it shows the room as lit as in the plate
+CERTAIN, LIT = 0.96, 0.1
 # the darkest shadow that the floor may get, and the walls, as a share of their light
 DARKEST, WALL_DARKEST = 0.5, 0.92
 # beta of the random walk: how little it likes to cross edges of color, at the picture's deviation
@@ -49,14 +49,13 @@ def soft_mask(
     core = lines(keypoints, frame, image.shape[:2])
     gain = _gain(image, plate, keypoints, frame)
     room = plate.color * gain
-    # the row from which on the floor may show the person's shadow: the higher knee's; none where no knee is seen
-    knees = [keypoints.seen(f"{side}_knee")[frame] for side in SIDES]
-    floor = int(max(0.0, min((y for _, y, sure in knees if sure > SURE), default=image.shape[0])))
-    person = _differs(image, plate, gain, floor)
-    known = plate.known
+    floor = _floor(keypoints, frame, image.shape[0])
+    person, unlit = _differs(image, plate, gain, floor)
+    known, clear = plate.known, np.zeros(image.shape[:2], bool)
     rim = max(3.0, RIM * min(image.shape[:2]) / 1080)
     if known.all():
-        inside = _whole(_walked(image, person, core, known) > 0.5, keypoints, frame)
+        clear = _clear(unlit, near_bones(keypoints, frame, known.shape))
+        inside = _whole((_walked(image, person, core, known) > 0.5) & ~clear, keypoints, frame)
     else:
         may, thin = (find(keypoints, frame, image.shape[:2]) for find in (hull, bones))
         if may.all() or not thin.any() or not can_cut():
@@ -74,7 +73,9 @@ def soft_mask(
     for rows, columns in ndimage.find_objects(inside.astype(int)):
         margin = round(8 * rim)
         window = tuple(slice(max(0, s.start - margin), s.stop + margin) for s in (rows, columns))
-        out[window] = _rim(image[window], room[window], known[window], inside[window], rim, APART * plate.noise)
+        out[window] = _rim(
+            *(x[window] for x in (image, room, known, inside, clear)), rim=rim, apart=APART * plate.noise
+        )
     return out
 
 
@@ -85,6 +86,16 @@ def masked_by(empty: Bool[Array, "frames"]) -> str:
     if can_cut():
         return "from the room as far as it is seen beside the person, the rest by GrabCut from keypoints"
     return f"from the room as far as it is seen beside the person; GrabCut is far better: {INSTALL}"
+
+
+def _floor(keypoints: Keypoints, frame: int, height: int) -> int:
+    """The row from which on the floor may show the person's shadow: of the higher knee; where none is seen the film's
+    median; none where no frame shows one."""
+    knees = np.stack([keypoints.seen(f"{side}_knee") for side in SIDES])
+    rows = np.where(knees[..., 2] > SURE, knees[..., 1], np.inf).min(0)
+    seen = rows[np.isfinite(rows)]
+    row = rows[frame] if np.isfinite(rows[frame]) else np.median(seen) if len(seen) else height
+    return int(np.clip(row, 0, height))
 
 
 def _filled(
@@ -126,8 +137,8 @@ def _gain(image: Float[Array, "height width 3"], plate: Plate, keypoints: Keypoi
 
 def _differs(
     image: Float[Array, "height width 3"], plate: Plate, gain: Float[Array, "3"], floor: int
-) -> Float[Array, "height width"]:
-    """Probability that a pixel does not show the room, nor the room in shadow."""
+) -> tuple[Float[Array, "height width"], Float[Array, "height width"]]:
+    """Probability that a pixel shows neither the room lit nor in shadow, and that it does not show the room lit."""
     shown, behind = smoothed(image), plate.smooth * gain
     # where the room has edges more difference means nothing
     bright = _dot(behind, np.ones_like(behind)) / 3
@@ -140,8 +151,17 @@ def _differs(
     darkest[floor:] = DARKEST
     rest = shown - np.clip(ratio, darkest, 1.0)[..., None] * behind
     shaded = np.sqrt(_dot(rest, rest) / 3) / (deviation + 0.05 * (1 - np.clip(ratio, 0, 1)) * bright)
-    apart = np.where((ratio < 1) & (ratio > darkest), np.minimum(apart, 1.6 * shaded), apart)
-    return 1 / (1 + np.exp(-np.clip((apart - EVEN) / SHARP, -30, 30)))
+    either = np.where((ratio < 1) & (ratio > darkest), np.minimum(apart, 1.6 * shaded), apart)
+    person, unlit = (1 / (1 + np.exp(-np.clip((x - EVEN) / SHARP, -30, 30))) for x in (either, apart))
+    return person, unlit
+
+
+def _clear(unlit: Float[Array, "height width"], near: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
+    """Where the room is seen beyond doubt, between legs or behind a ponytail too: lit as in the plate over more than
+    specks, off the lines of limbs. The walk loses such gaps: small ones hold no seeds."""
+    clear = np.asarray(ndimage.binary_opening((unlit < LIT) & ~near), bool)
+    labels = pieces(clear)
+    return clear & (np.bincount(labels.ravel()) >= HOLE * (unlit > 1 - LIT).sum())[labels]
 
 
 def _dot(a: Float[Array, "height width 3"], b: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
@@ -252,6 +272,7 @@ def _rim(
     room: Float[Array, "height width 3"],
     known: Bool[Array, "height width"],
     inside: Bool[Array, "height width"],
+    clear: Bool[Array, "height width"],
     rim: float,
     apart: float,
 ) -> UInt8[Array, "height width"]:
@@ -283,13 +304,13 @@ def _rim(
     between = F - B
     length = (between**2).sum(1)
     share = np.clip(((image[y, x] - B) * between).sum(1) / np.maximum(length, 1e-6), 0, 1)
-    clear = known[y, x] & (np.sqrt(length / 3) > apart)
+    legible = known[y, x] & (np.sqrt(length / 3) > apart)
     # where colors say nothing the edge stays where it is, half a pixel soft
     mixed = inside.astype(np.float32)
-    mixed[y, x] = np.where(clear, share, np.clip(to_edge[y, x] / 1.5 + 0.5, 0, 1))
+    mixed[y, x] = np.where(legible, share, np.clip(to_edge[y, x] / 1.5 + 0.5, 0, 1))
     # a stripe of the wall's color inside the rim is no room, nor a speck beside it the person
     hard = mixed > 0.5
-    lone = (~hard & ~_joined(~hard, ~band & ~inside)) | (hard & ~_joined(hard, person | (inside & ~band)))
+    lone = (~hard & ~_joined(~hard, ~inside & (clear | ~band))) | (hard & ~_joined(hard, person | (inside & ~band)))
     mixed[lone] = ~hard[lone]
     return np.round(255 * mixed).astype(np.uint8)
 

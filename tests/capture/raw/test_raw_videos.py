@@ -17,7 +17,7 @@ from capture.raw.glance import glance
 from capture.raw.judge import judge
 from capture.raw.limbs import hull, lines
 from capture.raw.masks import soft_mask
-from capture.raw.plate import plate_of_empty, plate_of_free
+from capture.raw.plate import Plate, plate_of_empty, plate_of_free
 from capture.raw.scan import RawScan, RawVideo
 from capture.raw.selection import movement, select
 from capture.raw.video_file import EQUIVALENT, open_video, read_frames
@@ -131,6 +131,28 @@ def test_masks_are_those_of_the_figure(body, plate, monkeypatch):
         # soft at the rim and nowhere else
         soft = (mask > 12) & (mask < 243)
         assert 0 < soft.sum() < 0.4 * true.sum()
+
+
+def test_a_gap_that_shows_the_room_is_no_person_and_shadows_lie_on_the_floor_though_knees_are_hidden(body):
+    points = judged(body[0]).glance.keypoints
+    unseen = replace(points, confidence=np.zeros_like(points.confidence))
+    noise = np.random.default_rng(0).normal(0, 1, (120, 160, 3))
+    room = np.full((120, 160, 3), 150.0) + noise
+    room[90:] -= 50
+    picture = room.copy()
+    picture[20:90, 60:100] = (40, 20, 15)
+    gap = (slice(40, 70), slice(90, 96))
+    picture[gap] = room[gap]
+    plate = Plate(np.float32(room), np.ones((120, 160), bool), 1.2)
+    mask = soft_mask(np.uint8(picture), plate, unseen, 0) > 127
+    assert not mask[42:68, 92:94].any() and mask[22:88, 62:88].all() and mask[42:68, 97:99].all()
+    # knees of other frames say where the floor may be dark
+    picture[95:110, 60:100] *= 0.7
+    rows = [points.names.index(f"{side}_knee") for side in ("left", "right")]
+    hidden = replace(points, confidence=points.confidence * (np.arange(len(points.confidence)) > 0)[:, None])
+    hidden.pixels[:, rows] = (80, 85)
+    assert not soft_mask(np.uint8(picture), plate, hidden, 0)[97:].any()
+    assert soft_mask(np.uint8(picture), plate, unseen, 0)[97:].any()
 
 
 def said(at):
