@@ -193,6 +193,7 @@ METRICS = (
     Metric("outline_worst", "IoU worst", 3, "higher", outline_iou, pool=min),
     # features of the standing head: bench/score/landmarks.py
     Metric("face_mm", "face mm", 1, "lower"),
+    Metric("face_on_head_mm", "face on head mm", 1, "lower"),
     Metric("psnr_db", "box dB", 2, "higher", lambda p: p.box_error(), of_rungs=True),
     Metric("psnr_mask_db", "mask dB", 2, "higher",
            lambda p: None if p.mask is None else checked_error(p.truth, p.image, p.mask), of_rungs=True),

@@ -287,7 +287,8 @@ def standing_rows(what: JudgedSurfaces, raster: Rasteriser, template: CaptureSub
         distances, pair, T = measure_once(case, np.zeros((52, 3)), what.apart)
         rows[name] = with_outlines(regions_of(distances), outline_scores(raster, case, pair, T))
         if template is not None:
-            rows[name]["head"]["face_mm"] = rounded(face_landmarks_mm(template, case, pair))
+            face = face_landmarks_mm(template, case, pair)
+            rows[name]["head"] |= {} if face is None else dict(zip(("face_mm", "face_on_head_mm"), map(rounded, face)))
     return rows
 
 
