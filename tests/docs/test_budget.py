@@ -15,7 +15,7 @@ BUDGET = {
     "capture": 12_047,
     "train": 5_422,
     "bake": 5_834,
-    "player": 20_206,
+    "player": 20_178,
     "shaders": 1_005,
     "synth": 3_840,
     "bench": 5_477,
