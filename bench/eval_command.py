@@ -30,9 +30,9 @@ class EvalCommand:
 EVAL = Help(
     "selfscan eval",
     """Measure a trained run or a baked avatar against the ground truth of a synthetic capture: P2S and Chamfer (cm),
-PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views; of an avatar every view mode side by
-side. What comes from raw videos is measured against the folder of `synth --raw --keypoints --held-out`: its poses
-are fitted to the held-out pictures, never read from the truth.""",
+PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views. What comes from raw videos is measured
+against the folder of `synth --raw --keypoints --held-out`: its poses are fitted to the held-out pictures, never read
+from the truth.""",
     "example: selfscan eval out/run out/capture --json quality.json",
 )
 

@@ -45,7 +45,6 @@ from bench.score.quality_table import PAPER
 from bench.score.region_scores import regions_of, rounded, with_outlines, without_eyes
 from bench.score.skeleton_distance import BODY, HANDS, LIMBS, joints_off, posed_skeletons, turned_off
 from bench.score.true_mesh import TrueMesh, read_true_mesh
-from bench.score.view_modes import view_modes
 from capture.folder import CaptureSubject, input_kind, read_subject
 from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts, some_poses
 from command.errors import AssetError
@@ -102,9 +101,6 @@ def evaluate(
             what = prepared(drawer, truth, capture, kind, poses=poses, run=run)
             what = replace(what, perceive=perceive)
             result = measured(what)
-            if drawer.avatar is not None:
-                print_stage("every view mode of the avatar beside the true pictures")
-                result["view_modes"] = view_modes(drawer.avatar, what.ours or what.filmed)
         finally:
             drawer.release()
     kind_of_source = "avatar" if drawer.avatar is not None else "run"
