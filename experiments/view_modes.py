@@ -8,7 +8,6 @@ shows them.
 """
 
 import argparse
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -18,9 +18,9 @@ BUDGET = {
     "player": 20_178,
     "shaders": 1_005,
     "synth": 3_840,
-    "bench": 5_477,
+    "bench": 5_256,
     "selfscan": 469,
-    "tests": 36_081,
+    "tests": 36_055,
 }
 
 
