@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 12_047,
     "train": 5_422,
     "bake": 5_834,
-    "player": 20_178,
+    "player": 20_141,
     "shaders": 1_005,
     "synth": 3_840,
     "bench": 5_256,
     "selfscan": 469,
-    "tests": 36_055,
+    "tests": 36_047,
 }
 
 
