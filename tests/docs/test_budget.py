@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 12_047,
     "train": 5_422,
     "bake": 5_834,
-    "player": 20_130,
-    "shaders": 1_005,
+    "player": 20_075,
+    "shaders": 970,
     "synth": 3_840,
-    "bench": 5_256,
+    "bench": 5_239,
     "selfscan": 469,
-    "tests": 36_037,
+    "tests": 36_025,
 }
 
 
