@@ -120,7 +120,6 @@ def _carried(frame: Posed, points: SkinnedPoints) -> Float[Array, "*f n s 3"]:
 
 
 def skinned(frame: Posed, points: SkinnedPoints) -> Float[Array, "*f n 3"]:
-    """Posed points."""
     return np.einsum("ns,...nsi->...ni", points.weights, _carried(frame, points))
 
 

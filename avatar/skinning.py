@@ -51,7 +51,6 @@ def strongest_four(dense: Float[Array, "points bones"]) -> SkinWeights:
 
 
 def dense_weights(skin: SkinWeights, bones: int = 52) -> Float[Array, "points bones"]:
-    """The weights as a full matrix."""
     dense = np.zeros((len(skin.joints), bones))
     np.add.at(dense, (np.arange(len(dense))[:, None], skin.joints), skin.weights)
     return dense

@@ -52,7 +52,6 @@ def changed(
 
 
 def only(videos: Mapping[str, "PartVideo"], parts: Sequence[str]) -> Mapping[str, "PartVideo"]:
-    """Some of the videos."""
     if not isinstance(videos, Videos):
         return {part: videos[part] for part in parts}
     return Videos({part: videos.read[part] for part in parts}, videos.recent)

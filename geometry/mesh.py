@@ -149,7 +149,6 @@ def _pieces(mesh: TriangleMesh) -> tuple[Integer[Array, "faces"], Float[Array, "
 
 
 def concatenated(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Several meshes as one, in their order."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts)])
     return TriangleMesh(np.concatenate([mesh.vertices for mesh in meshes]), faces)

@@ -89,7 +89,6 @@ def export_main(argv: list[str]) -> int:
 
 
 def export_vrm(options: ExportCommand, avatar: Avatar) -> int:
-    """Write the avatar as VRM."""
     likeness = Likeness(avatar.name, options.author or avatar.name, options.who)
     write_vrm(options.output, options.avatar, likeness, pelvis_height(avatar))
     face = "face and gaze" if avatar.eyes is not None else "no face in the avatar's file"

@@ -41,7 +41,6 @@ def rotation(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Float[Array, "3 
 
 
 def plan_videos(studio: Studio, frames: int, size: int) -> dict[str, Shots]:
-    """The four videos of a subject, by part."""
     return {
         "body": _body_video(studio, frames, size),
         "head": _head_video(studio, frames, size),

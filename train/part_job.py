@@ -245,7 +245,6 @@ def template_field(
 
 
 def ray_settings(part: PartPreset, preset: Preset) -> RaySettings:
-    """How a preset takes a part's rays."""
     return RaySettings(
         band=part.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame, background=part.background
     )

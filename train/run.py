@@ -87,7 +87,6 @@ class Run:
 def build_field(
     subject: CaptureSubject, index: int, preset: PartPreset, template: TemplateGrid, frames: int
 ) -> PartField:
-    """An untrained field of part `index`."""
     extent = part_boxes(subject)[index].extent
     low, high = (torch.tensor(edge, dtype=torch.float32, device="cpu") for edge in (extent.low, extent.high))
     half = 0.5 * (high - low)
@@ -149,7 +148,6 @@ def read_eyes(path: Path) -> OpenEyes | None:
 
 
 def write_surface(path: Path, surface: Surface) -> None:
-    """surface.npz: the mesh and the fused view statistics."""
     fields = vars(surface) | {f"skin_{name}": values for name, values in surface.skin._asdict().items()}
     arrays = {name: fields[name].astype(dtype) for name, (dtype, _) in SURFACE.items()}
     with open(path, "wb") as file:

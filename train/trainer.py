@@ -31,7 +31,6 @@ def rate_at(iteration: int, part: PartPreset, preset: Preset) -> float:
 
 
 def grids_of(field: PartField) -> list[FeatureGrid]:
-    """The grids of a part's networks."""
     return [module for module in field.modules() if isinstance(module, FeatureGrid)]
 
 

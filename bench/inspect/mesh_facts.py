@@ -36,7 +36,6 @@ class Closedness(NamedTuple):
 
 
 def areas(level: Level) -> Float[np.ndarray, "faces"]:
-    """Square metres of each triangle."""
     return face_areas(level.positions, level.faces)
 
 

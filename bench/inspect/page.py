@@ -109,7 +109,6 @@ class Check:
 def picture(
     name: str, image: UInt8[np.ndarray, "height width 3"], caption: str, width: int | None = None
 ) -> PagePicture:
-    """A picture of the page as PNG."""
     return PagePicture(name, encode_png(np.ascontiguousarray(image)), caption, width)
 
 

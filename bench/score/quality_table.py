@@ -64,7 +64,6 @@ def cells(scores: Json, metrics: Sequence[Metric] = METRICS) -> list[str]:
 
 
 def print_table(result: Json) -> None:
-    """The table on standard output, and what its numbers mean."""
     rows = [["", *(metric.title for metric in METRICS)], *table_rows(result)]
     wide = max(len(row[0]) for row in rows)
     for row in rows:

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 from bench.report.writer import Json
 from bench.score.metrics import METRICS, PICTURE_METRICS, ImageScores
-from bench.score.outlines import OutlineScore
 from bench.score.posed_geometry import Distances, PoseDistances, pooled_distance
+from bench.score.standing import OutlineScore
 from bench.score.surface_distance import SurfaceDistance
 
 

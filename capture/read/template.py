@@ -36,7 +36,6 @@ class TemplateMesh:
 
 
 def body_template(body: Body) -> TemplateMesh:
-    """The template of a shaped body."""
     licence = body.licence if body.name.startswith("builtin") else LICENSED.format(body.name)
     return TemplateMesh(body.vertices, body.faces, body.skin, body.joints, licence, body.uv, body.uv_faces)
 

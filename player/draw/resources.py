@@ -97,5 +97,4 @@ class PlanResources:
         self[handle].bind_to_uniform_block(BINDING[block][1])
 
     def release(self) -> None:
-        """Free everything."""
         self.apply(())

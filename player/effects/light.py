@@ -113,7 +113,6 @@ class AvatarLight:
 
     @property
     def buffer(self) -> Attributes:
-        """What a vertex array gains."""
         return (self.vertices, *ATTRIBUTES)
 
     def apply(self, program: moderngl.Program, camera: Camera) -> None:

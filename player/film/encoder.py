@@ -44,7 +44,6 @@ class Encoder:
     dial: tuple[str, int, int, int] | None = None
 
     def at(self, quality: str) -> dict[str, str]:
-        """Options for a quality."""
         options = dict(self.options)
         if self.dial is not None:
             options[self.dial[0]] = str(self.dial[1 + QUALITIES.index(quality)])

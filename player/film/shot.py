@@ -164,6 +164,5 @@ class ShotRenderer:
         self.release()
 
     def release(self) -> None:
-        """Free everything, the context too."""
         self.renderer.release()
         self.context.release()

@@ -80,7 +80,6 @@ def fitted(
 def fitted_camera(
     points: Float[Array, "points 3"], azimuth: float, size: tuple[int, int], *, elevation: float = ELEVATION
 ) -> Camera:
-    """The camera of `fitted`."""
     view = fitted(points, azimuth, size, elevation=elevation)
     return orbit_camera(view.target, view.distance, azimuth, elevation, size, FOV)
 

@@ -224,7 +224,6 @@ class Renderer:
         return out
 
     def release(self) -> None:
-        """Free everything this renderer made."""
         self.context.make_current()
         self.resources.release()
         close_all(self.plan.kept.values())
