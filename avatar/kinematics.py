@@ -53,7 +53,6 @@ class Posed(NamedTuple):
 
     @property
     def each(self) -> list["Posed"]:
-        """Frame by frame."""
         return [Posed(*frame, self.skeleton) for frame in zip(self.R, self.place, self.axes, self.shift)]
 
     @property

@@ -244,7 +244,6 @@ def faced(avatar: Avatar, subject: CaptureSubject, clock: "_Clock") -> Avatar:
 
 
 def loosened(baked: BakedLevel, subject: CaptureSubject) -> BakedLevel:
-    """The level with what of it is loose."""
     level = baked.level
     found = looseness(level.positions.astype(np.float64), level.faces.astype(np.int64), level.skin, subject)
     return baked._replace(level=replace(level, loose=found))

@@ -12,8 +12,6 @@ from files.whole import check_file, write_json
 
 @dataclass(frozen=True)
 class EvalCommand:
-    """`selfscan eval`."""
-
     subject: Annotated[Path, Option(positional=True, metavar="RUN_OR_AVATAR"), "run folder, or avatar file (.glb)"]
     capture: Annotated[Path, Option(positional=True, metavar="CAPTURE"),
         "capture folder with truth/ (selfscan synth), or of a raw scan (synth --raw --keypoints --held-out)"]

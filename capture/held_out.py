@@ -64,7 +64,6 @@ class HeldOutView:
 
 
 def read_capture_facts(capture: Path) -> dict:
-    """capture.json as a dictionary."""
     path = Path(capture) / "capture.json"
     facts = read_json_object(path, "a capture")
     if facts.get("format") != "selfscan-capture":

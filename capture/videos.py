@@ -64,7 +64,6 @@ def let_go(videos: Mapping[str, "PartVideo"]) -> None:
 
 
 def size_of(video: "PartVideo") -> int:
-    """Bytes of its pixels."""
     return sum(0 if pixels is None else pixels.nbytes for pixels in (video.images, video.masks, video.unsure))
 
 

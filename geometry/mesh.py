@@ -143,7 +143,6 @@ def separate_pieces(mesh: TriangleMesh, least: float) -> list[TriangleMesh]:
 
 
 def _pieces(mesh: TriangleMesh) -> tuple[Integer[Array, "faces"], Float[Array, "pieces"]]:
-    """The connected piece of each face, and the pieces' areas."""
     labels = component_labels(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
     return labels, np.bincount(labels, face_areas(mesh.vertices, mesh.faces))
 

@@ -22,8 +22,6 @@ class FaceBuffer(NamedTuple):
 
 
 class _Projected(NamedTuple):
-    """Triangles on the picture."""
-
     corner: Float[Array, "faces 3 2"]  # pixels
     closeness: Float[Array, "faces 3"]  # 1 / depth
     area: Float[Array, "faces"]  # twice the signed one, square pixels

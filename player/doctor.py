@@ -190,8 +190,6 @@ def report(found: Findings) -> str:
 
 
 class DrawnFrame(NamedTuple):
-    """One frame, and the renderer that drew it."""
-
     image: UInt8[np.ndarray, "height width 4"]
     renderer: str
 

@@ -43,8 +43,6 @@ UNITS = {"m": 1.0, "cm": 0.01}
 
 @dataclass(frozen=True)
 class ExportCommand:
-    """`selfscan export`."""
-
     avatar: AvatarOption
     output: Annotated[Path, Option(("-o", "--output"), "OUT"), "OUT.bvh, OUT.glb, OUT.npz or OUT.vrm"]
     motion: Annotated[str | None, Option(metavar="FILE"),

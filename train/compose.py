@@ -91,8 +91,6 @@ class TrainedParts:
 
 @dataclass(frozen=True)
 class Composition:
-    """One person."""
-
     # with its fused statistics
     surface: Surface
     # that the surface shows; None: the head's field as it was learned

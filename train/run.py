@@ -54,8 +54,6 @@ class BakeSource:
 
 @dataclass(frozen=True)
 class Run:
-    """A trained person."""
-
     path: Path
     field: FusedField
     surface: Surface

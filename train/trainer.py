@@ -92,8 +92,6 @@ UNSAVED, UNWATCHED = Checkpoints(), Watch()
 
 @dataclass
 class Position:
-    """How far a training is."""
-
     iteration: int = 0
     # steps that were not finite
     skipped: int = 0

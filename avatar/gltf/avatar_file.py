@@ -111,7 +111,6 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
 
 
 def avatar_gltf(path: str | Path) -> Gltf:
-    """The glTF of an avatar file, or of builtin."""
     if str(path) == BUILTIN and not Path(path).exists():
         path = str(files("avatar") / "data" / "avatar" / "man.glb")
     return read_gltf(path)

@@ -30,8 +30,6 @@ examples
 
 @dataclass(frozen=True)
 class InspectCommand:
-    """`selfscan inspect`."""
-
     avatar: Annotated[Path, Option(positional=True, metavar="NAME.glb"), "avatar file from `selfscan bake`"]
     output: Annotated[Path, Option(("-o", "--output"), "DIR"), "folder to write"]
     run: Annotated[Path | None, Option(metavar="RUN"),

@@ -98,8 +98,6 @@ class PageSection:
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the verdict."""
-
     what: str
     value: str
     expected: str

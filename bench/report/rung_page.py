@@ -49,8 +49,6 @@ RUNG_COLUMNS = (
 
 
 class Point(NamedTuple):
-    """A rung in the figure."""
-
     ms: float
     flip: float
     name: str

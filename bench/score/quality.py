@@ -62,8 +62,6 @@ def print_stage(text: str) -> None:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """What is judged, and against what."""
-
     drawer: Drawer
     truth: TrueMesh
     # held-out views by set, in true poses

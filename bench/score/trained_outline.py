@@ -114,7 +114,6 @@ class TrainedOutline:
         self, equations: NormalEquations, frame: Posed, camera: Camera, mask: Float[Array, "height width"], blur: float,
         moving: Int[Array, "m"], own: Bool[Array, "vertices"],
     ) -> None:  # fmt: skip
-        """Add all pixels near the outlines."""
         drawn = self._draw(frame, camera)
         if not drawn.hit.any():
             return

@@ -54,7 +54,6 @@ class Footage:
         return [table[name] for name in self.names]
 
     def rows(self, chosen: Int[Array, "n"]) -> "Footage":
-        """Some of the frames."""
         return replace(self, pixels=self.pixels[chosen], sure=self.sure[chosen], masks=self.masks[chosen])
 
 
@@ -110,7 +109,6 @@ class Estimate:
         return SkinnedPoints(rest, directions, bones, np.ones((len(points), 1)))
 
     def skin(self, vertices: Int[Array, "n"] | slice = slice(None)) -> SkinnedPoints:
-        """Vertices of the surface."""
         person, skin = self.person, self.person.body.skin
         rest = person.vertices(self.g, vertices)
         return SkinnedPoints(rest, person.vertex_directions[vertices], skin.joints[vertices], skin.weights[vertices])

@@ -153,7 +153,6 @@ class _Fit:
         self.show, self.done = show, 0
 
     def step(self, name: str, make: Callable[[body.Report], Step]) -> Step:
-        """What a step finds."""
         end = self.done + STEPS[name]
         found = make(lambda note: self.report(f"{name}: {note}"))
         self.done = end
@@ -242,7 +241,6 @@ def carried(part: str, body: FittedVideo, joints: Float[Array, "52 3"]) -> Fitte
 
 
 def template_of(estimate: Estimate) -> TemplateMesh:
-    """The person in pose 0."""
     person = estimate.person
     base = person.body
     vertices, joints = person.vertices(estimate.g), person.joints(estimate.g)

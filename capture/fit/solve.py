@@ -21,7 +21,6 @@ LONGEST = 0.5
 
 
 def posed_frames(estimate: Estimate) -> Posed:
-    """The skeleton in all frames."""
     return posed(estimate.skeleton(), estimate.root, estimate.heading, estimate.angles)
 
 

@@ -79,8 +79,6 @@ class FilmOptions:
 
 @dataclass(frozen=True)
 class VideoCommand:
-    """`selfscan import video`."""
-
     videos: Annotated[
         tuple[Path, ...],
         Option(positional=True, metavar="BODY HEAD LEFT RIGHT", several=True),

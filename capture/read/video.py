@@ -42,8 +42,6 @@ Fit = Callable[[RawScan], FittedScan]
 
 @dataclass(frozen=True)
 class VideoImport:
-    """What is imported, and with what help."""
-
     videos: Mapping[str, Path]  # by part
     keypoints: Path
     # None: made from the videos
@@ -141,7 +139,6 @@ def _prepared(job: _Chosen, report: Reporter) -> RawVideo:
 
 
 def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths: list[Path], report: Reporter) -> None:
-    """Masks from the video itself."""
     missing = [i for i, path in enumerate(paths) if not path.exists()]
     if not missing:
         return
@@ -183,7 +180,6 @@ def _grey(path: Path, size: tuple[int, int]) -> np.ndarray:
 
 
 def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: VideoImport, notes: list[str]) -> None:
-    """The capture folder of a fitted scan."""
     videos, numbers = {}, {}
     for part in PARTS:
         film = given.videos.get(part, given.videos["body"])

@@ -44,8 +44,6 @@ BLUR = 0.7
 
 
 class HeadHeight(NamedTuple):
-    """Where the outlines have the head."""
-
     canonical_from_head: Float[Array, "4 4"]
     shift: float  # metres that the template's place rose on the pictured head; what was placed sinks by it
     thickness: float  # pixels, c

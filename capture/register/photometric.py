@@ -105,8 +105,6 @@ def refine_on_video(
 
 
 class _PaintedTemplate(NamedTuple):
-    """The template with what its faces show."""
-
     subject: CaptureSubject
     head: Bool[Array, "faces"]  # faces of the head that the field shows
     color: Float[Array, "faces 3"]
@@ -115,7 +113,6 @@ class _PaintedTemplate(NamedTuple):
 def _add_frame(
     equations: PlaceEquations, scene: _PaintedTemplate, placed: Float[Array, "vertices 3"], video: PartVideo, frame: int
 ) -> None:
-    """Add one frame's pixels."""
     assert video.axis_angle is not None and video.root is not None
     subject = scene.subject
     B = skin_transforms(video.axis_angle[frame], subject.joints, video.root[frame])

@@ -40,8 +40,6 @@ HEADROOM = 0.05
 
 
 class Timing(NamedTuple):
-    """What a rung took."""
-
     ms: Float[np.ndarray, "rounds"]  # one frame each, milliseconds
     bytes: int  # GL memory of the rung's plan, target included
     start_ms: float  # until the first frame is drawn: programs, textures, meshes
@@ -159,8 +157,6 @@ def frame_ms(
 
 @dataclass(frozen=True)
 class PricedRung:
-    """What a rung costs here."""
-
     rung: Rung
     ms_median: float
     ms_p95: float

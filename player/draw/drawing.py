@@ -38,8 +38,6 @@ GivenPose = Pose | BarePose
 
 @dataclass(frozen=True)
 class FrameInputs:
-    """What decides a frame."""
-
     framebuffer: moderngl.Framebuffer
     poses: tuple[Pose, ...]
     camera: Camera
@@ -142,7 +140,6 @@ class Drawing:
         return buffer
 
     def bind(self, handle: Handle[moderngl.Buffer], block: str, content: Callable[[], bytes | np.ndarray]) -> None:
-        """Bind a uniform block with its content of this frame."""
         self.write(handle, content).bind_to_uniform_block(BINDING[block][1])
 
     def enter(self, layer: Layer) -> None:

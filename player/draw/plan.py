@@ -56,8 +56,6 @@ class Stage(IntEnum):
 
 
 class PassState(StrEnum):
-    """What becomes of a pass in a frame."""
-
     RUNS = "runs"
     # its last result still holds
     KEPT = "kept"

@@ -98,8 +98,6 @@ class Light:
 
 @dataclass(frozen=True)
 class AvatarLight:
-    """One avatar's light in a plan."""
-
     light: CaptureLight
     vertices: Handle[moderngl.Buffer]
     explanation: str

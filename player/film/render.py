@@ -137,7 +137,6 @@ def at_rate(command: RenderCommand, stage: Stage, start: int, stop: int) -> tupl
 
 
 def level_of(command: RenderCommand) -> int:
-    """The level of detail that the command asks for."""
     if command.level is not None:
         return command.level
     return DRAFT_LEVEL if command.quality == "draft" else 0

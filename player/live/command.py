@@ -74,8 +74,6 @@ class LiveCommand:
 
 @dataclass(frozen=True)
 class StreamCommand:
-    """`selfscan stream`."""
-
     motion: Annotated[str, Option(positional=True, metavar="MOTION"), "pose file (.npz, .bvh), or: counting, walking"]
     to: Annotated[Address, Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
         "VMC or our JSON; HOST may be left out: this machine"]
