@@ -33,7 +33,6 @@ MASK_STEP = 10
 
 
 def mistakes_of(config: RawConfig) -> Mistakes:
-    """How wrong the detector is."""
     return Mistakes(config.keypoint_noise, config.keypoint_bias / 100)
 
 
