@@ -28,7 +28,6 @@ class SkinWeights(NamedTuple):
 
     @property
     def heaviest(self) -> Integer[Array, "points"]:
-        """The joint that moves each point most."""
         return np.take_along_axis(self.joints, self.weights.argmax(1)[:, None], 1)[:, 0]
 
 

@@ -149,7 +149,6 @@ def bake_run(
 
 
 def surface_facts(extraction: Extraction) -> Facts:
-    """What the file says of the surface that was extracted."""
     return {
         "triangles": len(extraction.mesh.faces),
         "residual_mm": rounded(extraction.residual * 1e3),
@@ -159,8 +158,6 @@ def surface_facts(extraction: Extraction) -> Facts:
 
 
 class Extracted(NamedTuple):
-    """A run's surface."""
-
     field: NumpyField  # whose surface it is
     layers: list[SurfaceLayer]
     extraction: Extraction

@@ -13,8 +13,6 @@ CANDIDATES = 1 << 20
 
 
 class FaceBuffer(NamedTuple):
-    """What each pixel centre sees."""
-
     # -1 where there is nothing
     face: Int[Array, "height width"]
     # along the optical axis, the unit of the vertices; inf where nothing

@@ -102,7 +102,6 @@ def vendor_files() -> list[Path]:
 
 
 def vendor_file(path: Path) -> Findings:
-    """A vendor file, the library it names, and what is wrong with it."""
     out: Findings = {"file": str(path), "library": None, "wrong": None}
     try:
         out["library"] = json.loads(path.read_text("utf-8"))["ICD"]["library_path"]

@@ -26,8 +26,6 @@ MARGIN = 1.06
 
 @dataclass(frozen=True)
 class Shots:
-    """One video before it is taken."""
-
     part: str
     axis_angle: Float[Array, "faces 52 3"]
     root: Float[Array, "faces 3"]  # pelvis joint in the world

@@ -25,8 +25,6 @@ Extra = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class RayTensors:
-    """TrainingRays on the training device."""
-
     ends: Float[Tensor, "rays ends 3"]
     row: Int[Tensor, "rays ends"]
     direction: Float[Tensor, "rays 3"]

@@ -69,7 +69,6 @@ class Run:
 
     @property
     def bake_source(self) -> BakeSource:
-        """The run as `selfscan bake` takes it."""
         with_templates = lambda names: self.field.with_templates(names).functions()
         return BakeSource(
             self.field.functions(), self.surface, self.subject, self.provenance, self.world_light,

@@ -86,7 +86,6 @@ class AtlasMesh(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Texels per side."""
         return self.texels.size
 
 

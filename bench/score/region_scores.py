@@ -65,7 +65,6 @@ def region_scores(distances: list[PoseDistances] | None, images: ImageScores | N
 
 
 def surface_scores(distance: SurfaceDistance) -> dict[str, float | None]:
-    """Every metric of surfaces, rounded."""
     return {m.key: rounded(m.of_surfaces(distance)) for m in METRICS if m.of_surfaces is not None}
 
 

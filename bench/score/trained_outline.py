@@ -51,8 +51,6 @@ TOPS = {"head": "head", "hand_left": "left_wrist", "hand_right": "right_wrist"}
 
 
 class _Drawn(NamedTuple):
-    """What a pose looks like."""
-
     hit: Bool[Array, "height width"]
     # the surface vertex nearest to each pixel that is hit
     vertex: Int[Array, "height width"]
@@ -60,8 +58,6 @@ class _Drawn(NamedTuple):
 
 
 class TrainedOutline:
-    """A trained surface whose outlines are laid on masks."""
-
     def __init__(self, surface: PosableSurface, raster: Rasteriser):
         self.surface, self.raster = surface, raster
 

@@ -36,12 +36,10 @@ class Footage:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the pictures."""
         return self.masks.shape[2], self.masks.shape[1]
 
     @property
     def turning(self) -> Int[Array, "m"]:
-        """Joints that turn, the pelvis first."""
         return np.r_[0, self.moving]
 
     @property

@@ -147,8 +147,6 @@ def _with_close_ups(
 
 
 class _Fit:
-    """Steps of the fit, each reported as it goes on."""
-
     def __init__(self, show: Callable[[int, str], None]):
         self.show, self.done = show, 0
 

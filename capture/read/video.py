@@ -113,7 +113,6 @@ class _Chosen(NamedTuple):
 
 
 def _prepared(job: _Chosen, report: Reporter) -> RawVideo:
-    """The chosen frames as pictures, with their masks."""
     given, judged, chosen, work = job
     at = judged.glance
     images, masks = work / "images", work / "masks"

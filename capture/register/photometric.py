@@ -56,8 +56,6 @@ class ColoredHead(NamedTuple):
 
 
 class VideoFit(NamedTuple):
-    """Where the body's video has the head."""
-
     transform: Float[Array, "4 4"]  # canonical_from_head_field, a similarity
     # root of the mean rho over coverage and color (0 to 1), at the start
     before: float

@@ -23,8 +23,6 @@ READ_FRAMEBUFFER, DRAW_FRAMEBUFFER, COLOR_BUFFER_BIT, NEAREST = 0x8CA8, 0x8CA9, 
 
 
 class Pose(NamedTuple):
-    """What one avatar does in a frame."""
-
     axis_angle: Float[np.ndarray, "52 3"]
     root: Float[np.ndarray, "3"]  # pelvis joint in world, metres
     # None: the face at rest

@@ -59,8 +59,6 @@ class Image:
 
 
 class PlanResources:
-    """The GL objects of a plan, by handle."""
-
     def __init__(self, context: Context):
         self.context = context
         self._made: dict[AnyHandle, Any] = {}

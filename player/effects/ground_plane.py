@@ -25,8 +25,6 @@ AWAY = Decision(PassState.SKIPPED, "the ground is out of view, or seen from belo
 
 
 class Sheet(NamedTuple):
-    """A rectangle of a level plane."""
-
     anchor: Float[Array, "3"]  # world, metres
     reach: tuple[float, float, float, float]  # x0, z0, x1, z1 about the anchor, metres
 

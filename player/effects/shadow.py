@@ -114,8 +114,6 @@ class Footprint(NamedTuple):
 
 
 class MaskState:
-    """What the mask's texture holds."""
-
     def __init__(self):
         self.key: tuple[object, ...] | None = None
 

@@ -35,8 +35,6 @@ BT709 = {
 
 @dataclass(frozen=True)
 class Encoder:
-    """An encoder of FFmpeg, what it is fed and its options."""
-
     name: str
     pixel_format: str
     options: tuple[tuple[str, str], ...] = ()

@@ -172,7 +172,6 @@ def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Ef
 
 
 def film_at_once(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
-    """Draw straight into the file."""
     path, began = Path(command.output), time.perf_counter()
     with ShotRenderer(shot, stage, context) as drawn:
         film = drawn.film(path, progress(range(shot.start, shot.stop), "frames", shot.stop - shot.start))

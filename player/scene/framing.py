@@ -107,8 +107,6 @@ def fitted_round(points: Float[Array, "points 3"], size: tuple[int, int], *, fov
 
 
 class View(NamedTuple):
-    """A camera round a point."""
-
     target: Float[Array, "3"]
     distance: float  # metres
     azimuth: float  # radians, 0 along +z of the world, growing towards +x

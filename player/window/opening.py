@@ -49,7 +49,6 @@ class Opening:
         self.files: list[tuple[Path, str]] = []
 
     def toggle(self) -> None:
-        """Show the list or hide it."""
         self.listed = not self.listed
         if self.listed:
             self.go(self.folder)

@@ -71,7 +71,6 @@ class Viewpoint:
         self.cameras.kind, self._part = "orbit", (index, middle, joints[middle, :3, 3])
 
     def reset(self) -> None:
-        """The orbit as it was in the beginning: all of everyone."""
         self._part = None
         self.cameras.orbit.reset()
 

@@ -83,8 +83,6 @@ def _cap(body: Body, looks: Looks, picture: Picture) -> PersonPiece:
 
 
 class _Solid:
-    """The surface that hair falls on."""
-
     def __init__(self, body: Body, clothes: list[PersonPiece]):
         # ears and face do not hold hair up
         below = compact(body.vertices, body.faces[(body.skin.heaviest[body.faces] != SKULL).all(1)])[0]

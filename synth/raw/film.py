@@ -138,7 +138,6 @@ class _Lighting:
 
 
 def write_truth(folder: Path, plan: dict[str, RawShots], facts: dict) -> None:
-    """truth/raw.json: what was filmed, and how."""
     content = {"format": "selfscan-raw-truth", "rate": RATE, "mask_step": MASK_STEP, **facts}
     content["frames"] = {part: len(shots.root) for part, shots in plan.items()}
     (folder / "truth" / "raw.json").write_text(json.dumps(content, indent=1))

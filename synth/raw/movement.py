@@ -37,8 +37,6 @@ STEP = np.array([0.012, 0.003, 0.012])
 
 @dataclass(frozen=True)
 class RawShots:
-    """One raw video before it is taken."""
-
     part: str
     axis_angle: Float[Array, "frames 52 3"]
     root: Float[Array, "frames 3"]
