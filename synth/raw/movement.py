@@ -109,8 +109,8 @@ def _steady_poses(
 
     if part == "body":
         # steps in with hanging arms, raises them, turns once
-        heading = -60 * (1 - smoothstep(0, 1, inside)) + 360 * turning
-        put("shoulder", 2, -(72 * (1 - smoothstep(0, 1, 2 * inside - 1)) + 4), -1)
+        heading = -60 * (1 - smoothstep(0.0, 1.0, inside)) + 360 * turning
+        put("shoulder", 2, -(72 * (1 - smoothstep(0.0, 1.0, 2 * inside - 1)) + 4), -1)
         put("elbow", 1, -7, -1)
         put("hip", 2, 4, -1)
         # small steps: either knee lifts twice in a turn
@@ -143,7 +143,7 @@ def _place(
     joints = subject.joints.astype(np.float64)
     origin = np.zeros((len(poses), 3))
     if part == "body":
-        origin[:, 0] = -3.6 * (1 - smoothstep(0, 1, 2 * inside))
+        origin[:, 0] = -3.6 * (1 - smoothstep(0.0, 1.0, 2 * inside))
         return origin
     if part == "head":
         points = head_points(subject)
@@ -152,7 +152,7 @@ def _place(
         origin = -(np.einsum("fij,j->fi", G[:, :3, :3], middle) + G[:, :3, 3])
     else:
         origin = hand_before_camera(poses, joints, part.removeprefix("hand_"), 720 * turning)
-    origin[:, 0] += (-1.6 if part != "hand_right" else 1.6) * (1 - smoothstep(0, 1, inside))
+    origin[:, 0] += (-1.6 if part != "hand_right" else 1.6) * (1 - smoothstep(0.0, 1.0, inside))
     return origin
 
 
