@@ -137,10 +137,6 @@ def mask_of(folder: Path, image: Path) -> Path:
     raise AssetError(f"{folder / (image.stem + '.png')}: no such mask, expected one for {image.name}")
 
 
-def spread(count: int, most: int) -> Array:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
-
-
 def anchored(
     axis_angle: Float[Array, "frames 52 3"],
     root: Float[Array, "frames 3"],

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avatar.motion.clip import spread_frames
 from avatar.skeleton import PARTS
 from capture.frame_files import sized_picture, write_picture
 from capture.keypoints.record import Keypoints
@@ -145,7 +146,7 @@ def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths
     if judged.empty.any():
         plate = plate_of_empty(at.video, np.flatnonzero(judged.empty))
     else:
-        spread = np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), 30)).astype(int))
+        spread = spread_frames(len(pictures), 30)
         plate = plate_of_free([read_picture(pictures[i]) for i in spread], keypoints.of_frames(spread))
     for i in missing:
         report.step(i, "masks")
