@@ -52,8 +52,6 @@ class TwistSkin:
 
 @dataclass(frozen=True)
 class Level:
-    """One level of detail."""
-
     positions: Float32[Array, "vertices 3"]  # canonical, metres
     normals: Float32[Array, "vertices 3"]  # canonical, unit
     # as in glTF: v downwards, (0, 0) the image's top left corner

@@ -27,8 +27,6 @@ from avatar.skeleton import JOINTS, PARENTS
 
 
 class Bend(NamedTuple):
-    """A joint that is given bend joints."""
-
     joint: int
     # the end of its bone
     child: int

@@ -126,7 +126,6 @@ def read_body(path: Path | str) -> Body:
 
 
 def _model_fields(path: Path) -> dict[str, Array]:
-    """The arrays of a model file by name."""
     if path.suffix.lower() != ".pkl":
         return _doubles(read_npz(path, "an SMPL+H model", (), FIELDS))
     content = read_pickle(path, "an SMPL+H model")

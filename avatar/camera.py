@@ -162,7 +162,6 @@ def clip_from_view(camera: Camera, near: float, far: float) -> Float[Array, "4 4
 
 
 def write_camera(path: Path | str, camera: Camera) -> None:
-    """Write a camera file (JSON)."""
     content = {
         "size": list(camera.size),
         "K": camera.K.tolist(),

@@ -40,7 +40,6 @@ def hull_of(avatar: Avatar) -> BodyHull:
 
 
 def body_hull(body: Body) -> BodyHull:
-    """The outer points of a body model."""
     return _hull(body.vertices, body.skin, body.joints, np.zeros((52, 3)))
 
 

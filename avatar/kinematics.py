@@ -53,7 +53,6 @@ class Posed(NamedTuple):
 
     @property
     def each(self) -> list["Posed"]:
-        """Frame by frame."""
         return [Posed(*frame, self.skeleton) for frame in zip(self.R, self.place, self.axes, self.shift)]
 
     @property
@@ -120,7 +119,6 @@ def _carried(frame: Posed, points: SkinnedPoints) -> Float[Array, "*f n s 3"]:
 
 
 def skinned(frame: Posed, points: SkinnedPoints) -> Float[Array, "*f n 3"]:
-    """Posed points."""
     return np.einsum("ns,...nsi->...ni", points.weights, _carried(frame, points))
 
 

@@ -71,7 +71,6 @@ class CaptureLight:
 
     @property
     def shares(self) -> Float[Array, "lamps"]:
-        """Each lamp's share of the highlight."""
         total = self.strengths.sum()
         return self.strengths / total if total > 0 else self.strengths
 

@@ -43,7 +43,6 @@ def error_between(
 
 
 def pooled(errors: Iterable[PooledError]) -> PooledError:
-    """All of them together."""
     total = PooledError()
     for one in errors:
         total = total.plus(one)

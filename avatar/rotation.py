@@ -123,7 +123,6 @@ def quaternion_product(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Floa
 
 
 def quaternion_inverse(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
-    """Inverse of a unit quaternion."""
     return np.asarray(quaternion, np.float64) * np.array([-1.0, -1, -1, 1])
 
 

@@ -28,7 +28,6 @@ class SkinWeights(NamedTuple):
 
     @property
     def heaviest(self) -> Integer[Array, "points"]:
-        """The joint that moves each point most."""
         return np.take_along_axis(self.joints, self.weights.argmax(1)[:, None], 1)[:, 0]
 
 
@@ -51,7 +50,6 @@ def strongest_four(dense: Float[Array, "points bones"]) -> SkinWeights:
 
 
 def dense_weights(skin: SkinWeights, bones: int = 52) -> Float[Array, "points bones"]:
-    """The weights as a full matrix."""
     dense = np.zeros((len(skin.joints), bones))
     np.add.at(dense, (np.arange(len(dense))[:, None], skin.joints), skin.weights)
     return dense

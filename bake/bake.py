@@ -149,7 +149,6 @@ def bake_run(
 
 
 def surface_facts(extraction: Extraction) -> Facts:
-    """What the file says of the surface that was extracted."""
     return {
         "triangles": len(extraction.mesh.faces),
         "residual_mm": rounded(extraction.residual * 1e3),
@@ -159,8 +158,6 @@ def surface_facts(extraction: Extraction) -> Facts:
 
 
 class Extracted(NamedTuple):
-    """A run's surface."""
-
     field: NumpyField  # whose surface it is
     layers: list[SurfaceLayer]
     extraction: Extraction
@@ -244,7 +241,6 @@ def faced(avatar: Avatar, subject: CaptureSubject, clock: "_Clock") -> Avatar:
 
 
 def loosened(baked: BakedLevel, subject: CaptureSubject) -> BakedLevel:
-    """The level with what of it is loose."""
     level = baked.level
     found = looseness(level.positions.astype(np.float64), level.faces.astype(np.int64), level.skin, subject)
     return baked._replace(level=replace(level, loose=found))

@@ -23,8 +23,6 @@ ABOUT = Help(
 
 @dataclass(frozen=True)
 class BakeCommand:
-    """`selfscan bake`."""
-
     run: Annotated[Path, Option(positional=True, metavar="RUN"), "run folder, as `selfscan train` writes it"]
     out: Annotated[Path, Option(("-o",), "NAME.glb"), "avatar file to write"]
     options: Annotated[BakeOptions, "how it is baked"]

@@ -90,8 +90,6 @@ def test_views(joints: Float[Array, "52 3"], size: int = 512) -> list[ScoredView
 
 
 class FieldImage(NamedTuple):
-    """The field drawn in a view."""
-
     paper: Float[Array, "height width 3"]  # [0, 1], field at d_bar
     # field at d', where asked
     cone: Float[Array, "height width 3"] | None

@@ -21,8 +21,6 @@ HEAD_OFF = 0.03
 
 @dataclass(frozen=True)
 class RunVideos:
-    """Where the videos lie, and what the run knows of them."""
-
     capture: Path
     # run folder with refined poses of just these videos; None: the capture's own poses
     refined: Path | None

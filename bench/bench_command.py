@@ -13,8 +13,6 @@ from player.scene.arguments import parse_size
 
 @dataclass(frozen=True)
 class BenchCommand:
-    """`selfscan bench`."""
-
     out: Annotated[Path, Option(("-o",), "DIR"), "folder to write"]
     avatar: Annotated[Path | None, Option(positional=True, metavar="AVATAR"),
         "avatar file (.glb); of --effects none: the built-in body"] = None
@@ -65,7 +63,6 @@ def bench_main(argv: list[str]) -> int:
 
 
 def _effects(command: BenchCommand) -> int:
-    """The table of effects."""
     from bench.ladder.effects import SIZE, bench_effects
     from player.scene.mannequin import mannequin
 

@@ -12,8 +12,6 @@ from files.whole import check_file, write_json
 
 @dataclass(frozen=True)
 class EvalCommand:
-    """`selfscan eval`."""
-
     subject: Annotated[Path, Option(positional=True, metavar="RUN_OR_AVATAR"), "run folder, or avatar file (.glb)"]
     capture: Annotated[Path, Option(positional=True, metavar="CAPTURE"),
         "capture folder with truth/ (selfscan synth), or of a raw scan (synth --raw --keypoints --held-out)"]
@@ -30,9 +28,9 @@ class EvalCommand:
 EVAL = Help(
     "selfscan eval",
     """Measure a trained run or a baked avatar against the ground truth of a synthetic capture: P2S and Chamfer (cm),
-PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views; of an avatar every view mode side by
-side. What comes from raw videos is measured against the folder of `synth --raw --keypoints --held-out`: its poses
-are fitted to the held-out pictures, never read from the truth.""",
+PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views. What comes from raw videos is measured
+against the folder of `synth --raw --keypoints --held-out`: its poses are fitted to the held-out pictures, never read
+from the truth.""",
     "example: selfscan eval out/run out/capture --json quality.json",
 )
 

@@ -133,10 +133,7 @@ def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS, frames_on_de
         AssetError: something is absent, misshapen, not finite, or disagrees with its neighbour.
     """
     path = Path(path)
-    facts = read_json_object(path / "capture.json", "a capture, as `selfscan import` and `selfscan synth` make it")
-    if facts.get("format") != "selfscan-capture" or facts.get("version") != 1:
-        found = one_line(f"{facts.get('format')!r} version {facts.get('version')!r}")
-        raise AssetError(f"{path / 'capture.json'}: expected format 'selfscan-capture' version 1, found {found}")
+    facts = read_capture_facts(path)
     named = facts.get("parts")
     missing = [part for part in parts if not isinstance(named, list) or part not in named]
     if missing:
@@ -154,6 +151,16 @@ def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS, frames_on_de
     return Capture(path, facts, subject, videos)
 
 
+def read_capture_facts(capture: Path) -> dict:
+    """capture.json; AssetError where there is none."""
+    path = Path(capture) / "capture.json"
+    facts = read_json_object(path, "a capture, as `selfscan import` and `selfscan synth` make it")
+    if facts.get("format") != "selfscan-capture" or facts.get("version") != 1:
+        found = one_line(f"{facts.get('format')!r} version {facts.get('version')!r}")
+        raise AssetError(f"{path}: expected format 'selfscan-capture' version 1, found {found}")
+    return facts
+
+
 def read_subject(path: Path, name: str = "") -> CaptureSubject:
     """Read the template, `subject.npz`.
 
@@ -167,7 +174,7 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
     if not HEIGHT[0] <= height <= HEIGHT[1]:
         raise AssetError(
             f"{path}: v_template should be a standing person in metres, {HEIGHT[0]} to {HEIGHT[1]} m along y; "
-            f"is {height:.4g}{_other_unit(height)}"
+            f"is {height:.4g}{other_unit(height)}"
         )
     faces = read_faces(path, fields, count)
     joints = field(path, fields, "joints", (52, 3)).astype(np.float64)
@@ -309,7 +316,7 @@ def _check_distance(path: Path, video: PartVideo) -> None:
     if away > FARTHEST:
         raise AssetError(
             f"{path}: cameras.npz and poses.npz should be in metres of one world; the person is {away:.4g} m from "
-            f"the camera{_other_unit(away / 2)}"
+            f"the camera{other_unit(away / 2)}"
         )
     if (depth <= 0).all() and video.part == "body":
         raise AssetError(
@@ -317,7 +324,7 @@ def _check_distance(path: Path, video: PartVideo) -> None:
         )
 
 
-def _other_unit(metres: float) -> str:
+def other_unit(metres: float) -> str:
     """What a length of a person that should be in metres seems to be in."""
     for unit, scale in (("millimetres", 1000), ("centimetres", 100)):
         if HEIGHT[0] * scale <= metres <= HEIGHT[1] * scale:

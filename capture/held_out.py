@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from avatar.camera import Camera
 from avatar.skeleton import PARTS
+from capture.folder import read_capture_facts
 from capture.frame_files import sized_picture
 from capture.keypoints.read import read_keypoints
 from capture.keypoints.record import Keypoints
@@ -61,15 +62,6 @@ class HeldOutView:
     def pixels(self, kind: str, mode: str) -> np.ndarray:
         path = self.folder / kind / f"{self.name}.png"
         return sized_picture(path, self.camera.size, "as in views.npz", mode, ("PNG",))
-
-
-def read_capture_facts(capture: Path) -> dict:
-    """capture.json as a dictionary."""
-    path = Path(capture) / "capture.json"
-    facts = read_json_object(path, "a capture")
-    if facts.get("format") != "selfscan-capture":
-        raise AssetError(f"{path}: format should be 'selfscan-capture'")
-    return facts
 
 
 def read_truth_facts(capture: Path) -> dict:

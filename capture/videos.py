@@ -52,7 +52,6 @@ def changed(
 
 
 def only(videos: Mapping[str, "PartVideo"], parts: Sequence[str]) -> Mapping[str, "PartVideo"]:
-    """Some of the videos."""
     if not isinstance(videos, Videos):
         return {part: videos[part] for part in parts}
     return Videos({part: videos.read[part] for part in parts}, videos.recent)
@@ -65,7 +64,6 @@ def let_go(videos: Mapping[str, "PartVideo"]) -> None:
 
 
 def size_of(video: "PartVideo") -> int:
-    """Bytes of its pixels."""
     return sum(0 if pixels is None else pixels.nbytes for pixels in (video.images, video.masks, video.unsure))
 
 

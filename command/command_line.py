@@ -246,7 +246,6 @@ def integer(text: str) -> int:
 
 
 def number(text: str) -> float:
-    """A finite number."""
     try:
         value = float(text)
     except ValueError:

@@ -36,7 +36,6 @@ class StopRequest:
             self.number, self.at = number, time.monotonic()
 
     def check(self) -> None:
-        """Raise what was noted."""
         if self.number is not None:
             raise Stopped(self.number)
 

@@ -16,8 +16,6 @@ STOPPED = {code: number for number in SIGNALS for code in (128 + number, -number
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of the work."""
-
     name: str
     # written whole or not at all by the stage, last of what it writes
     product: Path

@@ -24,7 +24,8 @@ from bench.field.posed_field import averaged
 from bench.ladder.machine import Quiet
 from bench.ladder.rung_scores import compared, crop_of, median_interval
 from bench.score.picture_scores import DILATION, VIEW_REGION, region_of
-from capture.held_out import SETS, read_capture_facts, read_held_out, some_poses
+from capture.folder import read_capture_facts
+from capture.held_out import SETS, read_held_out, some_poses
 from command.progress import progress
 from experiments.alternating import Times, alternate, here
 from experiments.short_training import read_kept

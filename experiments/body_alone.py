@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avatar.motion.clip import spread_frames
 from capture.fit.body import fit_body, sides_restored
 from capture.fit.footage import Estimate, Footage
 from capture.fit.person import person_of
@@ -18,7 +19,7 @@ from capture.fit.refusals import check_fit, check_footage, check_upright
 from capture.fit.scan import footage_in, phone_of, posed_video, template_of
 from capture.keypoints.read import read_keypoints
 from capture.raw.scan import FittedVideo, RawVideo
-from capture.read.folder import pictures_in, read_mask, spread
+from capture.read.folder import pictures_in, read_mask
 from capture.read.template import TemplateMesh
 from command.errors import AssetError
 from files.picture import picture_size
@@ -53,7 +54,7 @@ def pictures_of_body(
             raise AssetError(f"{path}: expected {len(files)} {what}, one for each picture in {pictures}, found {count}")
     if points.size is not None and points.size != size:
         raise AssetError(f"{keypoints}: expected points in pictures of {size} pixels, found {points.size}")
-    chosen = spread(len(files), most)
+    chosen = spread_frames(len(files), most)
     held = np.stack([255 * read_mask(drawn[i], size, any_value=False).astype(np.uint8) for i in chosen])
     return RawVideo("body", size, 30.0, chosen, tuple(files[i] for i in chosen), held, points.of_frames(chosen), focal)
 

@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from bench.ladder.machine import cpu_name
-from capture.held_out import SETS, read_capture_facts
+from capture.folder import read_capture_facts
+from capture.held_out import SETS
 from command.errors import AssetError
 from command.stages import command
 from experiments.curve_page import markdown, plot

@@ -26,8 +26,8 @@ from bench.score.pose_distances import JudgedSurfaces, measure_poses, same_poses
 from bench.score.quality import CAPTURE_FACTS, evaluate, seen_case
 from bench.score.region_scores import regions_of
 from bench.score.true_mesh import TrueMesh, read_true_mesh
-from capture.folder import read_capture
-from capture.held_out import HeldOutView, read_capture_facts, read_held_out, some_poses
+from capture.folder import read_capture, read_capture_facts
+from capture.held_out import HeldOutView, read_held_out, some_poses
 from command.errors import AssetError
 from experiments.row_sheet import write_sheet
 from experiments.short_training import read_kept

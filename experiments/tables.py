@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from capture.held_out import read_capture_facts
+from capture.folder import read_capture_facts
 from command.errors import AssetError
 from command.stages import command
 from experiments.program import end_with, note

@@ -23,9 +23,9 @@ from avatar.gltf.avatar_file import Avatar, read_avatar, write_avatar
 from bake.bake import with_video_textures
 from bake.level import level_of_file, places_on_finest
 from bake.run_capture import run_videos
-from bench.score.view_modes import decibels_by_region, mode_errors
 from capture.held_out import SETS, read_held_out, some_poses
 from experiments.print_bands import print_bands
+from experiments.view_modes import decibels_by_region, mode_errors
 from player.gl.context import open_context
 from train.run import read_facts
 

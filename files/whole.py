@@ -62,13 +62,11 @@ def whole_file(path: Path | str, mode: str = "wb") -> Iterator[IO[Any]]:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """A whole file of text."""
     with whole_file(path, "w") as file:
         file.write(text)
 
 
 def write_json(path: Path | str, content: object) -> None:
-    """A whole file of JSON, one entry a line."""
     write_text(path, json.dumps(content, indent=1))
 
 

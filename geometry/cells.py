@@ -20,6 +20,11 @@ def nearest_marked(marked: Bool[Array, "*cells"]) -> tuple[Int[Array, "..."], ..
     return tuple(index[axis] for axis in range(marked.ndim))
 
 
+def rim_of(marked: Bool[Array, "*cells"]) -> Bool[Array, "*cells"]:
+    """Marked cells with a face to one that is not; what lies beyond the grid counts as marked."""
+    return marked & ~np.asarray(ndimage.binary_erosion(marked, border_value=1), bool)
+
+
 def pieces(marked: Bool[Array, "*cells"], reach: int = 1) -> Int[Array, "*cells"]:
     """Connected pieces of the marked cells, numbered from 1: through faces, with reach 3 also edges and corners."""
     label = np.empty(marked.shape, np.int32)

@@ -143,13 +143,11 @@ def separate_pieces(mesh: TriangleMesh, least: float) -> list[TriangleMesh]:
 
 
 def _pieces(mesh: TriangleMesh) -> tuple[Integer[Array, "faces"], Float[Array, "pieces"]]:
-    """The connected piece of each face, and the pieces' areas."""
     labels = component_labels(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
     return labels, np.bincount(labels, face_areas(mesh.vertices, mesh.faces))
 
 
 def concatenated(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Several meshes as one, in their order."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts)])
     return TriangleMesh(np.concatenate([mesh.vertices for mesh in meshes]), faces)

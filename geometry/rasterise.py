@@ -13,8 +13,6 @@ CANDIDATES = 1 << 20
 
 
 class FaceBuffer(NamedTuple):
-    """What each pixel centre sees."""
-
     # -1 where there is nothing
     face: Int[Array, "height width"]
     # along the optical axis, the unit of the vertices; inf where nothing
@@ -22,8 +20,6 @@ class FaceBuffer(NamedTuple):
 
 
 class _Projected(NamedTuple):
-    """Triangles on the picture."""
-
     corner: Float[Array, "faces 3 2"]  # pixels
     closeness: Float[Array, "faces 3"]  # 1 / depth
     area: Float[Array, "faces"]  # twice the signed one, square pixels

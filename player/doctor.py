@@ -18,15 +18,13 @@ from avatar.camera import Camera, orbit_camera
 from command.errors import AssetError
 from player.gl.context import Egl, EglDevice, NoContextError, _library, open_context
 
-# what lacks when a library does not load: its package on Debian and Ubuntu, Fedora, Arch; what it is for
-IN_MEMORY = "drawing in memory alone (gone from Mesa 25.1 on; optional where EGL works)"
+# what lacks when a library does not load: its package on Debian and Ubuntu, and what it is for
 LIBRARIES = {
-    "libEGL.so.1": (("libegl1", "libglvnd-egl", "libglvnd"), "contexts without a display"),
-    "libGL.so.1": (("libgl1", "libglvnd-glx", "libglvnd"), "windows"),
-    "libOSMesa.so.8": (("libosmesa6", "mesa-libOSMesa", "osmesa"), IN_MEMORY),
+    "libEGL.so.1": ("libegl1", "contexts without a display"),
+    "libGL.so.1": ("libgl1", "windows"),
+    "libOSMesa.so.8": ("libosmesa6", "drawing in memory alone (gone from Mesa 25.1 on; optional where EGL works)"),
 }
-DRIVERS = (("libgl1-mesa-dri", "mesa-dri-drivers", "mesa"), "Mesa's drivers, llvmpipe among them")
-INSTALL = ("sudo apt-get install", "sudo dnf install", "sudo pacman -S")
+DRIVERS = ("libgl1-mesa-dri", "Mesa's drivers, llvmpipe among them")
 VENDORS = ("/usr/share/glvnd/egl_vendor.d", "/etc/glvnd/egl_vendor.d")
 VENDOR_VARIABLES = ("__EGL_VENDOR_LIBRARY_FILENAMES", "__EGL_VENDOR_LIBRARY_DIRS")
 EXTRAS = {
@@ -51,13 +49,13 @@ def findings() -> Findings:
     """Everything `selfscan doctor` says, as data."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     system = f"{platform.system()} {platform.release()}, Python {platform.python_version()}"
-    family, missing = distribution(), []
+    missing = []
     found: Findings = {"machine": f"{system}, {cores} CPU cores", "missing": missing}
-    for library, (packages, purpose) in LIBRARIES.items():
+    for library, (package, purpose) in LIBRARIES.items():
         try:
             _library(library, library.split(".so")[0] + ".so")
         except OSError:
-            missing.append({"package": packages[family], "library": library, "for": purpose})
+            missing.append({"package": package, "library": library, "for": purpose})
     found["egl_vendors"] = [vendor_file(path) for path in vendor_files()]
     nodes = device_nodes()
     found["nodes"] = [node._asdict() for node in nodes]
@@ -82,8 +80,9 @@ def findings() -> Findings:
             found["winner"] = winner | {"software": context.software, "why": why}
         context.release()
     if found["winner"] is None and not any(m["library"] in ("libEGL.so.1", "libGL.so.1") for m in missing):
-        missing.append({"package": DRIVERS[0][family], "library": "Mesa", "for": DRIVERS[1]})
-    found["install"] = f"{INSTALL[family]} {' '.join(m['package'] for m in missing)}" if missing else None
+        missing.append({"package": DRIVERS[0], "library": "Mesa", "for": DRIVERS[1]})
+    install = f"sudo apt-get install {' '.join(m['package'] for m in missing)}"
+    found["install"] = install if missing else None
     found["packages"] = {extra: {name: _version(name) for name in names} for extra, names in EXTRAS.items()}
     found["display"] = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
     found["container"] = Path("/.dockerenv").exists() or Path("/run/.containerenv").exists()
@@ -91,16 +90,6 @@ def findings() -> Findings:
     card = {"devices": devices, "nodes": nodes, "nvidia": found["nvidia"], "vendors": found["egl_vendors"]}
     found["hints"] = hints(**card, software=software, container=found["container"])
     return found
-
-
-def distribution(release: Path = Path("/etc/os-release")) -> int:
-    """Whose package names to give: 0 Debian and Ubuntu, 1 Fedora, 2 Arch."""
-    try:
-        lines = dict(line.split("=", 1) for line in release.read_text("utf-8").splitlines() if "=" in line)
-    except OSError:
-        return 0
-    likes = f"{lines.get('ID', '')} {lines.get('ID_LIKE', '')}".replace('"', "").split()
-    return next((k for k, names in ((1, ("fedora", "rhel")), (2, ("arch",))) if set(names) & set(likes)), 0)
 
 
 def vendor_files() -> list[Path]:
@@ -113,7 +102,6 @@ def vendor_files() -> list[Path]:
 
 
 def vendor_file(path: Path) -> Findings:
-    """A vendor file, the library it names, and what is wrong with it."""
     out: Findings = {"file": str(path), "library": None, "wrong": None}
     try:
         out["library"] = json.loads(path.read_text("utf-8"))["ICD"]["library_path"]
@@ -201,8 +189,6 @@ def report(found: Findings) -> str:
 
 
 class DrawnFrame(NamedTuple):
-    """One frame, and the renderer that drew it."""
-
     image: UInt8[np.ndarray, "height width 4"]
     renderer: str
 

@@ -10,8 +10,6 @@ from files.whole import write_json
 
 @dataclass(frozen=True)
 class DoctorCommand:
-    """`selfscan doctor`."""
-
     compare: Annotated[str | None, Option(metavar="AVATAR", const="mannequin"),
         "draw one frame (of the built-in body) on EGL, on OSMesa and in a window, and compare them"] = None
     json: Annotated[Path | None, Option(metavar="FILE"), "write the findings to a file"] = None

@@ -43,8 +43,6 @@ UNITS = {"m": 1.0, "cm": 0.01}
 
 @dataclass(frozen=True)
 class ExportCommand:
-    """`selfscan export`."""
-
     avatar: AvatarOption
     output: Annotated[Path, Option(("-o", "--output"), "OUT"), "OUT.bvh, OUT.glb, OUT.npz or OUT.vrm"]
     motion: Annotated[str | None, Option(metavar="FILE"),
@@ -89,7 +87,6 @@ def export_main(argv: list[str]) -> int:
 
 
 def export_vrm(options: ExportCommand, avatar: Avatar) -> int:
-    """Write the avatar as VRM."""
     likeness = Likeness(avatar.name, options.author or avatar.name, options.who)
     write_vrm(options.output, options.avatar, likeness, pelvis_height(avatar))
     face = "face and gaze" if avatar.eyes is not None else "no face in the avatar's file"

@@ -136,7 +136,6 @@ PLAY = Help(
 
 
 def play_main(argv: list[str]) -> int:
-    """Open the window."""
     command = parse(PlayCommand, argv, PLAY)
     try:
         return play_scene(scene_of(command), command)

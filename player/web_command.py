@@ -32,8 +32,6 @@ azimuth, elevation, distance, x, y, z (radians, metres)."""
 
 @dataclass(frozen=True)
 class WebCommand:
-    """`selfscan web`."""
-
     avatar: AvatarOption
     output: Annotated[Path, Option(("-o", "--output"), "PAGE"), "page to write (.html)"]
     motion: MotionOption = "counting"

@@ -12,6 +12,7 @@ from numpy import ndarray as Array
 
 from avatar.skinning import dense_weights, strongest_four
 from avatar.texture import sample_texture
+from synth.people.mesh import in_four
 from synth.subject import SynthSubject
 
 FINEST_EDGE = 0.003  # metres: cut edges are as ragged as this
@@ -38,16 +39,9 @@ def cut_out(subject: SynthSubject) -> SynthSubject:
                 faces = faces[(opaque > 0) & (opaque < 1) & ~last]
                 if not len(faces):
                     break
-                edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-                edges, index = np.unique(edges, axis=0, return_inverse=True)
-                ab, bc, ca = (len(vertices) + index.reshape(-1, 3)).T
-                a, b, c = faces.T
-                vertices, uv, weights = (
-                    np.concatenate([values, values[edges].mean(1)]) for values in (vertices, uv, weights)
-                )
-                part, hair, eye = (np.concatenate([values, values[edges[:, 0]]]) for values in (part, hair, eye))
-                corners = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-                faces = np.concatenate([np.stack(corner, 1) for corner in corners])
+                faces, edges = in_four(faces, len(vertices))
+                vertices, uv, weights = (np.r_[values, values[edges].mean(1)] for values in (vertices, uv, weights))
+                part, hair, eye = (np.r_[values, values[edges[:, 0]]] for values in (part, hair, eye))
             faces = np.concatenate(whole)
         kept_faces.append(faces)
         kept_material.append(np.full(len(faces), number))

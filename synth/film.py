@@ -26,8 +26,6 @@ MARGIN = 1.06
 
 @dataclass(frozen=True)
 class Shots:
-    """One video before it is taken."""
-
     part: str
     axis_angle: Float[Array, "faces 52 3"]
     root: Float[Array, "faces 3"]  # pelvis joint in the world
@@ -41,7 +39,6 @@ def rotation(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Float[Array, "3 
 
 
 def plan_videos(studio: Studio, frames: int, size: int) -> dict[str, Shots]:
-    """The four videos of a subject, by part."""
     return {
         "body": _body_video(studio, frames, size),
         "head": _head_video(studio, frames, size),

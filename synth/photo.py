@@ -46,7 +46,6 @@ class Studio:
         self.lighting = RoomLighting(rasteriser, subject.faces, self.welded)
 
     def posed(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"]) -> Float[Array, "vertices 3"]:
-        """The subject's vertices in a pose, world."""
         joints = self.subject.joints.astype(np.float64)
         transforms = skin_transforms(axis_angle, joints, root, rest=np.zeros((52, 3)))
         return skin_points(self.subject.vertices, self.subject.skin, transforms)

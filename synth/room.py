@@ -96,8 +96,6 @@ class Openness(NamedTuple):
 
 
 class ReceivedLight(NamedTuple):
-    """Light at points of a picture."""
-
     irradiance: Float[Array, "n"]
     seen: Float[Array, "sources n"]
 
@@ -196,9 +194,7 @@ class RoomLighting:
     good for every heading of it.
     """
 
-    def __init__(
-        self, rasteriser: Rasteriser, faces: Int[Array, "faces 3"], welded: Int[Array, "vertices"] | None = None
-    ):
+    def __init__(self, rasteriser: Rasteriser, faces: Int[Array, "faces 3"], welded: Int[Array, "vertices"]):
         self.rasteriser, self.faces, self.welded = rasteriser, faces, welded
         self.last: tuple[Array, Room, VertexLight] | None = None
         self.body: tuple[Array, Openness] | None = None
@@ -234,16 +230,13 @@ class RoomLighting:
     ) -> Float[Array, "kinds 2 vertices"]:
         """Values with those of vertices inside the body taken from the neighbours outside: a triangle that dips in
         is dark as its visible corners are, not as the hidden one."""
-        count = values.shape[2]
-        faces = self.faces if self.welded is None else self.welded[self.faces]
-        touching = neighbour_matrix(faces, count)
+        touching = neighbour_matrix(self.welded[self.faces], values.shape[2])
         for side in range(2):
             given = (~buried[side]).astype(np.float64)
             number = touching @ given
             filled = (touching @ (values[:, side] * given).T).T / np.maximum(number, 1)
-            filled = filled if self.welded is None else filled[:, self.welded]
-            number = number if self.welded is None else number[self.welded]
-            values[:, side] = np.where(buried[side] & (number > 0), filled, values[:, side])
+            outside = buried[side] & (number[self.welded] > 0)
+            values[:, side] = np.where(outside, filled[:, self.welded], values[:, side])
         return values
 
 

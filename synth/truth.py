@@ -68,8 +68,6 @@ _STANCES: dict[str, dict[str, tuple[int, int, int]]] = {
 
 @dataclass(frozen=True)
 class Stand:
-    """A pose with its place in the world."""
-
     axis_angle: Float[np.ndarray, "52 3"]
     root: Float[np.ndarray, "3"]
 

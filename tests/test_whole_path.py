@@ -12,8 +12,8 @@ from tiny import tiny, tiny_training
 
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import JOINTS
-from bench.score.view_modes import decibels_by_region, mode_errors
 from capture.held_out import read_held_out, some_poses
+from experiments.view_modes import decibels_by_region, mode_errors
 from player.gl.context import open_context
 from selfscan.__main__ import main
 from train.networks.hash import HashNetworks
@@ -83,7 +83,6 @@ def test_baking_kept_what_the_field_shows(out):
     assert main(["eval", str(out / "a.glb"), str(out / "capture"), *words]) == 0
     scores = json.loads((out / "avatar.json").read_text())
     assert scores["baked_vs_field"]["paper_db"] > 30
-    assert scores["view_modes"]["default"] in scores["view_modes"]["psnr_db"]["novel_pose"]
     assert scores["novel_pose"]["total"]["psnr_db"] > 19.5
 
 

@@ -48,7 +48,6 @@ Say = Callable[[str], None]
 
 @contextmanager
 def timed(seconds: dict[str, float], name: str) -> Iterator[None]:
-    """The seconds of the block are kept under this name."""
     began = time.monotonic()
     yield
     seconds[name] = time.monotonic() - began
@@ -74,8 +73,6 @@ class HeadPlacement:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedParts:
-    """What stage 1 leaves to composition."""
-
     # in the order of PARTS; one: a single network, which stands for everyone
     fields: list[PartField]
     # the body's; None for a single network, and where nothing was learned
@@ -91,8 +88,6 @@ class TrainedParts:
 
 @dataclass(frozen=True)
 class Composition:
-    """One person."""
-
     # with its fused statistics
     surface: Surface
     # that the surface shows; None: the head's field as it was learned

@@ -37,7 +37,6 @@ class Ranks:
         return self.rank == 0
 
     def share(self, batch: Shaped[Tensor, "b"]) -> Shaped[Tensor, "n"]:
-        """This rank's part of a batch."""
         return batch[self.rank :: self.count]
 
     def weight(self, size: int) -> float:
@@ -74,7 +73,6 @@ class Ranks:
         return summed.tolist()
 
     def broadcast(self, thing: T) -> T:
-        """What rank 0 holds, for all ranks."""
         if self.count == 1:
             return thing
         holder = [thing]

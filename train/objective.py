@@ -25,8 +25,6 @@ Extra = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class RayTensors:
-    """TrainingRays on the training device."""
-
     ends: Float[Tensor, "rays ends 3"]
     row: Int[Tensor, "rays ends"]
     direction: Float[Tensor, "rays 3"]
@@ -40,7 +38,6 @@ class RayTensors:
 
 
 def ray_tensors(rays: TrainingRays, cloud: SurfaceCloud, device: torch.device) -> RayTensors:
-    """The rays, ready for training."""
     put = lambda array: torch.as_tensor(np.ascontiguousarray(array)).to(device)
     return RayTensors(put(rays.ends), put(rays.row), put(rays.direction), put(rays.frame).long(), put(rays.color),
                       put(rays.mask), None if rays.bones is None else put(rays.bones),
@@ -82,8 +79,6 @@ def directions_at(rays: RayTensors, chosen: Int[Tensor, "b"], row: Int[Tensor, "
 
 @dataclass(frozen=True)
 class StepReport:
-    """Numbers of one step, for the log."""
-
     # the sum of the terms, weighted
     loss: float
     color: float  # L_rgb

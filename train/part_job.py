@@ -53,8 +53,6 @@ class Untrained(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class PartJob:
-    """The training of one part, for a worker process."""
-
     capture: str
     index: int  # into the preset's parts
     preset: Preset
@@ -76,7 +74,6 @@ class PartJob:
 
     @property
     def name(self) -> str:
-        """What files and reports call it."""
         return self.preset.names[self.index]
 
     @property
@@ -245,7 +242,6 @@ def template_field(
 
 
 def ray_settings(part: PartPreset, preset: Preset) -> RaySettings:
-    """How a preset takes a part's rays."""
     return RaySettings(
         band=part.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame, background=part.background
     )

@@ -74,7 +74,6 @@ class PoseCorrection(nn.Module):
 
     @torch.no_grad()
     def corrected(self, video: PartVideo) -> PartVideo:
-        """The video with the poses that were learned."""
         assert video.axis_angle is not None and video.root is not None
         d, moving = self.centred().cpu().numpy().astype(np.float64), self.moving.cpu().numpy()
         R = matrix_from_axis_angle(video.axis_angle)

@@ -66,8 +66,6 @@ class HairPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """Settings of a training run."""
-
     name: str
     # in the order of avatar.skeleton.PARTS; one alone: a person of one network (experiments/rivals/single.py)
     parts: Annotated[tuple[PartPreset, ...], Rows("parts", 1, len(PARTS))]
@@ -282,7 +280,6 @@ def without(preset: Preset, items: Iterable[str]) -> Preset:
 
 
 def chosen_preset(options: TrainOptions) -> Preset:
-    """The preset of a command line, with what its options change of it."""
     preset = PRESETS[options.preset]
     if options.iterations is not None:
         preset = shortened(preset, options.iterations)

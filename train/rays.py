@@ -85,8 +85,6 @@ class StillSamples(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Samples of the template, where rays are marched."""
-
     points: Float[Array, "s 3"]
     normals: Float[Array, "s 3"]  # unit
     gap: Float[Array, "s"]  # as SurfaceCloud.gap
@@ -371,7 +369,6 @@ def choose_pixels(
 
 
 def _first_steps(ray: Int[Array, "steps"]) -> Int[Array, "rays"]:
-    """Where each ray's steps begin; steps are in order of ray."""
     return np.flatnonzero(np.r_[True, ray[1:] != ray[:-1]])
 
 

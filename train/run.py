@@ -54,8 +54,6 @@ class BakeSource:
 
 @dataclass(frozen=True)
 class Run:
-    """A trained person."""
-
     path: Path
     field: FusedField
     surface: Surface
@@ -71,7 +69,6 @@ class Run:
 
     @property
     def bake_source(self) -> BakeSource:
-        """The run as `selfscan bake` takes it."""
         with_templates = lambda names: self.field.with_templates(names).functions()
         return BakeSource(
             self.field.functions(), self.surface, self.subject, self.provenance, self.world_light,
@@ -87,7 +84,6 @@ class Run:
 def build_field(
     subject: CaptureSubject, index: int, preset: PartPreset, template: TemplateGrid, frames: int
 ) -> PartField:
-    """An untrained field of part `index`."""
     extent = part_boxes(subject)[index].extent
     low, high = (torch.tensor(edge, dtype=torch.float32, device="cpu") for edge in (extent.low, extent.high))
     half = 0.5 * (high - low)
@@ -149,7 +145,6 @@ def read_eyes(path: Path) -> OpenEyes | None:
 
 
 def write_surface(path: Path, surface: Surface) -> None:
-    """surface.npz: the mesh and the fused view statistics."""
     fields = vars(surface) | {f"skin_{name}": values for name, values in surface.skin._asdict().items()}
     arrays = {name: fields[name].astype(dtype) for name, (dtype, _) in SURFACE.items()}
     with open(path, "wb") as file:

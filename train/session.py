@@ -19,8 +19,6 @@ FILE = "session.json"
 
 @dataclass(frozen=True)
 class Session:
-    """One training, over all its sittings."""
-
     # the run folder, absent until it is complete
     out: Path
     # checkpoints and logs until then

@@ -255,7 +255,6 @@ def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registr
 
 
 def _with_consistent_head(training: Training) -> Training:
-    """The head placed by its own video, where the preset says so."""
     if not training.preset.hair.consistency:
         return training
 

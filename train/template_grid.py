@@ -103,6 +103,5 @@ def template_grid(
     cell: float,
     closed: tuple[CaptureSubject, float] | None = None,
 ) -> TemplateGrid:
-    """The grid of `distance_grid` as tensors."""
     grid = distance_grid(cloud, low, high, cell, closed)
     return TemplateGrid(torch.from_numpy(grid.values), torch.from_numpy(grid.low), cell)

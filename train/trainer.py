@@ -31,7 +31,6 @@ def rate_at(iteration: int, part: PartPreset, preset: Preset) -> float:
 
 
 def grids_of(field: PartField) -> list[FeatureGrid]:
-    """The grids of a part's networks."""
     return [module for module in field.modules() if isinstance(module, FeatureGrid)]
 
 
@@ -93,8 +92,6 @@ UNSAVED, UNWATCHED = Checkpoints(), Watch()
 
 @dataclass
 class Position:
-    """How far a training is."""
-
     iteration: int = 0
     # steps that were not finite
     skipped: int = 0

@@ -111,7 +111,6 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
 
 
 def avatar_gltf(path: str | Path) -> Gltf:
-    """The glTF of an avatar file, or of builtin."""
     if str(path) == BUILTIN and not Path(path).exists():
         path = str(files("avatar") / "data" / "avatar" / "man.glb")
     return read_gltf(path)
@@ -194,8 +193,6 @@ def _read_levels(
 
 
 class _Source(NamedTuple):
-    """Where a level lies in the file."""
-
     mesh: int
     base_color: int  # image
     features: int | None  # image of four features
@@ -238,7 +235,6 @@ def _of_image(gltf: Gltf, index: int, function: Callable[..., T], *arguments: ob
 
 
 def _read_surface(gltf: Gltf, mesh: int) -> dict[str, Array]:
-    """The arrays of a level that live in its primitive."""
     accessors, where = attribute_accessors(gltf, mesh), f"meshes[{mesh}].primitives[0]"
     for name in (*ATTRIBUTES.values(), "_VIEW_Q0", "_VIEW_Q1"):
         if name not in accessors:

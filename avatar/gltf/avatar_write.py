@@ -59,7 +59,6 @@ class Bones(NamedTuple):
 
 
 def bones_of(avatar: Avatar) -> Bones:
-    """All bones of an avatar."""
     helpers, joints, eyes = helper_joints(avatar), avatar.joint_positions, EYE_JOINTS if avatar.eyes else ()
     names = (*JOINTS, *(helpers.names if helpers else ()))
     parents = np.r_[PARENTS, CARRIER[52 : len(names)], [HEAD] * len(eyes)].astype(np.int64)

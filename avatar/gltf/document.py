@@ -64,7 +64,6 @@ class Gltf:
     buffers: tuple[memoryview, ...]
 
     def error(self, field: str, expected: str, found: object) -> AssetError:
-        """The error to raise for a field that is not what it should be."""
         return AssetError(f"{self.path}: {field} should be {expected}, is {short(found)}")
 
     def items(self, collection: str) -> list[JsonObject]:
@@ -72,7 +71,6 @@ class Gltf:
         return self.json.get(collection, [])
 
     def item(self, collection: str, index: object, field: str) -> JsonObject:
-        """The object that `index`, found at `field`, refers to."""
         return self.items(collection)[self.index(collection, index, field)]
 
     def index(self, collection: str, index: object, field: str) -> int:
@@ -100,7 +98,6 @@ class Gltf:
         return np.array(value, dtype=np.float64).reshape(shape)
 
     def objects(self, holder: JsonObject, key: str, field: str) -> list[JsonObject]:
-        """A list of objects, one at least."""
         value = holder.get(key)
         if not isinstance(value, list) or not value or not all(isinstance(v, dict) for v in value):
             raise self.error(f"{field}.{key}", "a list of objects", value)

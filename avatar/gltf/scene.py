@@ -137,7 +137,6 @@ def read_skin(gltf: Gltf, index: object, *, field: str = "skin") -> Skin:
 
 
 def primitives(gltf: Gltf, mesh: object) -> list[dict]:
-    """The JSON of a mesh's primitives."""
     return gltf.objects(gltf.item("meshes", mesh, "mesh"), "primitives", f"meshes[{mesh}]")
 
 

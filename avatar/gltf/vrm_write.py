@@ -140,7 +140,6 @@ def _expression(node: int, shapes: dict[int, float]) -> JsonObject:
 
 
 def _copied(gltf: Gltf, builder: GltfBuilder, number: int) -> int:
-    """An accessor of the file with its bytes, in the builder."""
     accessor = copy.deepcopy(gltf.items("accessors")[number])
     sparse = accessor.get("sparse", {})
     for holder in (accessor, sparse.get("indices", {}), sparse.get("values", {})):

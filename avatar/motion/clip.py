@@ -122,7 +122,6 @@ class RestSkeleton:
 
 
 def rest_skeleton(body: Body) -> RestSkeleton:
-    """The skeleton of a body model."""
     return RestSkeleton(body.joints, float(-body.vertices[:, 1].min()))
 
 

@@ -91,6 +91,5 @@ def _lowest_points(motion: Motion, hull: BodyHull) -> Float[Array, "frames"]:
 
 
 def _length(metres: float) -> str:
-    """ "5.6 cm", "1.20 m"."""
     metres = abs(metres)
     return f"{metres:.2f} m" if metres >= 1 else f"{100 * metres:.1f} cm"

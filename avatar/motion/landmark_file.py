@@ -116,7 +116,6 @@ def _number(value: object) -> TypeGuard[float]:
 
 
 def _frame(place: str, content: object, notes: list[str]) -> Frame:
-    """The points of one frame."""
     if content is None:
         return Frame()
     if not isinstance(content, dict):

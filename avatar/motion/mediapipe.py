@@ -178,7 +178,6 @@ def _hand_points(
 
 
 def _check_hand(path: Path, frame: int, side: str, hand: Float[Array, "21 3"]) -> None:
-    """Refuse a hand without a palm."""
     along, across = hand[9] - hand[0], hand[5] - hand[17]
     area = np.linalg.norm(np.cross(along, across))
     if not area > 1e-3 * max(np.linalg.norm(along), np.linalg.norm(across), 1e-9) ** 2:

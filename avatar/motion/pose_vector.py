@@ -46,8 +46,6 @@ REFUSED_COLUMNS = {
 
 
 class PoseLayout(NamedTuple):
-    """How the numbers of one frame are laid out."""
-
     columns: int
     # the first three numbers are the root
     rooted: bool

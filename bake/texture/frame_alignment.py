@@ -111,7 +111,6 @@ def moved_colors(
 def _blurred(
     image: Float[Array, "height width 3"], known: Bool[Array, "height width"], blur: float
 ) -> Float[Array, "height width 3"]:
-    """Means of known pixels."""
     share = np.maximum(gaussian_filter(known.astype(np.float64), blur), 1e-6)
     return gaussian_filter(np.where(known[..., None], image, 0.0), (blur, blur, 0)) / share[..., None]
 

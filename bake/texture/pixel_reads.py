@@ -86,13 +86,10 @@ class AtlasMesh(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Texels per side."""
         return self.texels.size
 
 
 class PixelReads(NamedTuple):
-    """Pixels of some frames."""
-
     reads: csr_matrix  # pixels x rows of the texel map; rows sum to 1
     color: Float[Array, "pixels 3"]  # [0, 1] sRGB
     weight: Float[Array, "pixels"]

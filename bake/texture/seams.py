@@ -346,7 +346,6 @@ def edge_reads(uv: Float[Array, "corners 2"], edges: ChartEdges, size: int) -> t
 
 
 def _means(chain: list[_Mip], x: Float[Array, "unknowns channels"]) -> list[tuple[_Mip, Float[Array, "_ channels"]]]:
-    """Each mip with its texels' values."""
     result: list[tuple[_Mip, Array]] = []
     first = 0
     for mip in chain:

@@ -28,7 +28,6 @@ class TexelMap(NamedTuple):
     size: int
 
     def rows(self, chosen: Integer[Array, "rows"]) -> "TexelMap":
-        """Some of the texels."""
         return TexelMap(self.index[chosen], self.face[chosen], self.inside[chosen], self.size)
 
 

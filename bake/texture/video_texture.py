@@ -107,8 +107,6 @@ def with_video_textures(
 
 
 class ReadVideos(NamedTuple):
-    """What all videos say of an atlas, by PARTS."""
-
     equations: list[Equations]
     shown: list[ShownVideo]
     ranges: list[ShownRange]

@@ -19,7 +19,6 @@ from train.run import Run, read_run
 
 
 def level_surface(avatar: Avatar, level: Level) -> PosableSurface:
-    """One level of a baked avatar as a posable mesh."""
     return PosableSurface(
         level.positions.astype(np.float64),
         level.faces.astype(np.int64),

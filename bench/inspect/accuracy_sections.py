@@ -49,7 +49,6 @@ def provenance(inspector: Inspector) -> list[PageSection]:
 
 
 def from_run(level: Level, run: Path) -> Float[np.ndarray, "faces"]:
-    """`from_field` with the field of a run folder."""
     # torch: imported before anything draws
     from bake.field import numpy_field
     from train.run import read_run

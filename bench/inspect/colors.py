@@ -10,7 +10,6 @@ from PIL import ImageColor
 
 # ends and stops of a ramp from dark to light, equally far apart to the eye
 SEQUENTIAL = ("#2c1160", "#5b2a86", "#9c3a7c", "#d9545f", "#f68f46", "#fcd43f")
-PALE = ("#fffdf0", "#fddaa3", "#f99b5f", "#d6452f", "#8c0f22")  # under dark lines
 DIVERGING = ("#2b5fb3", "#8fb7e0", "#f4f4f2", "#eba58a", "#b3202c")
 ABSENT = "#e100e1"  # nothing is known here
 PART_COLORS = ("#8aa6c1", "#e0b354", "#5fae8b", "#c9746d")

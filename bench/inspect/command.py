@@ -36,11 +36,11 @@ def inspect(options: InspectCommand) -> Inspector:
         inspector = Inspector(avatar, path, context, field, options.size // 2 * 2)
         stack.callback(inspector.release)
         topics: list[Callable[[], list[PageSection] | PageSection | None]] = [
-            *(partial(topic, inspector) for topic in (drawn.looks, drawn.face, drawn.posed, drawn.levels)),
+            *(partial(topic, inspector) for topic in (drawn.looks, drawn.face, drawn.posed)),
             # VTK makes contexts of its own: ours draws before, and is gone then
             context.release,
             *(partial(topic, inspector) for topic in (
-                surface.weights, surface.parts, surface.texels, surface.seams, surface.cones, surface.triangles,
+                surface.weights, surface.parts, surface.seams, surface.cones, surface.triangles,
                 accuracy.field_distance, accuracy.provenance,
             )),
         ]  # fmt: skip

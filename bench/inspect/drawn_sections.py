@@ -7,7 +7,6 @@ from jaxtyping import UInt8
 
 from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Clip
-from avatar.psnr import decibels
 from avatar.skeleton import JOINTS
 from bench.inspect.inspection import Inspector
 from bench.inspect.page import PageSection, picture
@@ -58,21 +57,6 @@ def posed(inspector: Inspector) -> PageSection:
     return PageSection("poses", pictures)
 
 
-def levels(inspector: Inspector) -> PageSection:
-    """Levels of detail side by side."""
-    pictures, rows = [], [("level", "triangles", "texture", "PSNR against the finest, dB")]
-    first = None
-    for number, level in enumerate(inspector.avatar.levels):
-        front, _, head, _, hand, _ = standing(inspector, inspector.views, "off", number)
-        image = np.hstack([front, np.vstack([head, hand])])
-        first = image if first is None else first
-        error = float(np.square((image.astype(float) - first) / 255).mean())
-        db = "same" if number == 0 else f"{decibels(max(error, 1e-12)):.1f}"
-        rows.append((str(number), str(len(level.faces)), f"{level.base_color.shape[1]}", db))
-        pictures.append(picture(f"level_{number}", image, f"{len(level.faces)} triangles", width=380))
-    return PageSection("levels", pictures, None, rows)
-
-
 def strained_poses(avatar: Avatar) -> dict[str, BarePose]:
     """Poses that show what skinning does at shoulders, elbows, hips, knees and fingers."""
 
@@ -100,14 +84,12 @@ def strained_poses(avatar: Avatar) -> dict[str, BarePose]:
     }  # fmt: skip
 
 
-def standing(
-    inspector: Inspector, views: Sequence[InspectView], mode: str, level: int = 0
-) -> list[UInt8[np.ndarray, "_ _ 3"]]:
-    """These views in the canonical pose, at one level and view mode."""
+def standing(inspector: Inspector, views: Sequence[InspectView], mode: str) -> list[UInt8[np.ndarray, "_ _ 3"]]:
+    """These views in the canonical pose, in one view mode."""
     avatar, pictures = inspector.avatar, {}
     pose = np.asarray(avatar.canonical_pose, np.float64), np.asarray(avatar.joint_positions[0], np.float64)
     for size in {view.camera.size for view in views}:
-        renderer = Renderer(inspector.context, [avatar], size, view=mode, level=level, background=BACKGROUND)
+        renderer = Renderer(inspector.context, [avatar], size, view=mode, background=BACKGROUND)
         for view in views:
             if view.camera.size == size:
                 pictures[view.name] = renderer.draw([pose], view.camera)[..., :3]

@@ -14,7 +14,6 @@ from jaxtyping import Float, Int, Real, UInt8
 from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar, Level
-from bench.inspect.mesh_facts import medians_by_part
 from bench.inspect.page import Check, PageSection
 from bench.inspect.views import InspectView, standard_views, strip
 from bench.report.writer import Json
@@ -110,11 +109,6 @@ class Inspector:
         if self.studio is None:
             self.studio = MeshPlotter(self.views, self.context.kind)
         return self.studio.draw(self.level, np.round(colors).astype(np.uint8), lines, wire=wire)
-
-    def medians(self, fact: str, millimetres: Float[Array, "faces"]) -> dict[str, float | None]:
-        """The median of each part's triangles, by area, which becomes a fact."""
-        by_part = self.facts[fact] = medians_by_part(self.level, millimetres)
-        return by_part
 
     def check(self, what: str, value: str, expected: str, good: bool | None) -> None:
         self.checks.append(Check(what, value, expected, good))

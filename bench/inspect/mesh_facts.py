@@ -1,4 +1,4 @@
-"""What a level of an avatar file shows of itself: parts, texel sizes, chart seams, cones, whether it is closed.
+"""What a level of an avatar file shows of itself: chart seams, cones, whether it is closed.
 
 Everything is computed from the file alone, not from what baking wrote into it, so that the two can be compared.
 Frame: canonical, metres.
@@ -7,14 +7,12 @@ Frame: canonical, metres.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 
 from avatar.baked_avatar import Level
-from avatar.skeleton import PARTS
 from avatar.texture import mipmaps
 from bake.cone import matrix_from_six
 from bake.texture.seams import chart_edges, seam_steps
-from capture.read.template import part_of
 from geometry.mesh import component_labels, face_areas, half_edges
 
 MIPS = 4
@@ -37,46 +35,8 @@ class Closedness(NamedTuple):
     pieces: int
 
 
-def face_parts(level: Level) -> UInt8[np.ndarray, "faces"]:
-    """Part of each triangle: what two of its corners say, else the first corner's."""
-    a, b, c = part_of(level.skin)[level.faces].T
-    return np.where(b == c, b, a)
-
-
 def areas(level: Level) -> Float[np.ndarray, "faces"]:
-    """Square metres of each triangle."""
     return face_areas(level.positions, level.faces)
-
-
-def edge_millimetres(level: Level) -> Float[np.ndarray, "faces"]:
-    """Mean length of a triangle's edges."""
-    corners = level.positions.astype(np.float64)[level.faces]
-    return 1e3 * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(1)
-
-
-def texel_millimetres(level: Level) -> Float[np.ndarray, "faces"]:
-    """Side of a texel on each triangle: sqrt(area on the surface / area in texels); NaN without texels."""
-    height, width = level.base_color.shape[:2]
-    a, b, c = (level.uv.astype(np.float64)[level.faces] * [width, height]).transpose(1, 0, 2)
-    texels = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(texels > 1e-9, 1e3 * np.sqrt(areas(level) / texels), np.nan)
-
-
-def median_by_area(values: Float[np.ndarray, "n"], weight: Float[np.ndarray, "n"]) -> float | None:
-    """The value that half of the weight lies below; None where there is none."""
-    known = np.isfinite(values) & (weight > 0)
-    if not known.any():
-        return None
-    order = np.argsort(values[known])
-    below = np.cumsum(weight[known][order])
-    return float(values[known][order][np.searchsorted(below, 0.5 * below[-1])])
-
-
-def medians_by_part(level: Level, values: Float[np.ndarray, "faces"]) -> dict[str, float | None]:
-    """`median_by_area` of each part's triangles."""
-    part, area = face_parts(level), areas(level)
-    return {name: median_by_area(values, area * (part == k)) for k, name in enumerate(PARTS)}
 
 
 def weld(level: Level) -> Int[np.ndarray, "vertices"]:

@@ -16,10 +16,9 @@ pictures as files, and inspect.json with the numbers. It needs no display. What 
   as drawn       six standard views, the paper's colors and with view dependence; strained poses
   face           at 512 px, from three sides
   parts          body, head and hands            weights      who moves what
-  texels         their size on the surface       seams        chart edges by the step of color across them
+  seams          chart edges by the step of color across them
   cones          how far color may follow the eye, and what no camera ever saw
-  triangles      their size, holes               levels       levels of detail side by side
-  field          --run: mesh to field, mm
+  triangles      their edges, holes              field        --run: mesh to field, mm
   accuracy       what baking measured            provenance   where it comes from
 
 A table on top says which numbers are as they should be. The command judges nothing by its exit code.
@@ -31,8 +30,6 @@ examples
 
 @dataclass(frozen=True)
 class InspectCommand:
-    """`selfscan inspect`."""
-
     avatar: Annotated[Path, Option(positional=True, metavar="NAME.glb"), "avatar file from `selfscan bake`"]
     output: Annotated[Path, Option(("-o", "--output"), "DIR"), "folder to write"]
     run: Annotated[Path | None, Option(metavar="RUN"),

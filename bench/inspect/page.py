@@ -60,8 +60,6 @@ SECTIONS = {
     "parts": ("Parts", "The part whose joints move a vertex most, with its share of the surface."),
     "weights": ("Skin weights", "Soft borders run round a limb, never along it; left and right, and neighbouring "
                 "fingers, do not exchange colors."),
-    "texels": ("Texel density", "Side of a texel on the surface. Head and hands should be darker (finer); a bright "
-               "patch is stretched in the atlas."),
     "seams": ("Chart seams", "Edges where the atlas was cut, colored by the largest difference of color between the "
               "two sides (of 255). Where it is bright a line may be seen; it should not gather on the face, the neck "
               "or the wrists. Our player stops at the mips that the atlas' gutters keep apart; other viewers go on to "
@@ -69,11 +67,9 @@ SECTIONS = {
     "cones": ("Cones and unseen regions", "How far color may follow the eye: the half-angle of directions that "
               "training saw, mean of widest and narrowest, times how well the point was seen. Pink was never seen: "
               "armpits, between fingers, soles. Its color is the field's guess."),
-    "triangles": ("Triangles", "Mean length of a triangle's edges; the close views show the edges. Slivers and sudden "
-                  "changes of size come out as lines in the light."),
+    "triangles": ("Triangles", "The close views show the edges. Slivers and sudden changes of size come out as lines."),
     "field": ("Distance to the field", "Of each triangle's centre and corners the one farthest from the field's "
               "surface. Red stands outside of it, blue inside."),
-    "levels": ("Levels of detail", "The same views of each level, in the paper's colors, the background counted."),
     "accuracy": ("Measured while baking", "As written into the file; paths are those of its JSON."),
     "provenance": ("Provenance", "Where the avatar comes from."),
 }  # fmt: skip
@@ -102,8 +98,6 @@ class PageSection:
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the verdict."""
-
     what: str
     value: str
     expected: str
@@ -113,7 +107,6 @@ class Check:
 def picture(
     name: str, image: UInt8[np.ndarray, "height width 3"], caption: str, width: int | None = None
 ) -> PagePicture:
-    """A picture of the page as PNG."""
     return PagePicture(name, encode_png(np.ascontiguousarray(image)), caption, width)
 
 

@@ -1,24 +1,21 @@
-"""Sections on the surface that the file holds: parts, weights, texels, seams, cones, triangles."""
+"""Sections on the surface that the file holds: parts, weights, seams, cones, triangles."""
 
 import numpy as np
-from PIL import Image, ImageDraw
 
 from avatar.skeleton import JOINTS, PARTS
 from avatar.skinning import dense_weights
 from avatar.texture import mip_levels
 from bench.inspect import mesh_facts
-from bench.inspect.colors import ABSENT, PALE, PART_COLORS, SEQUENTIAL, Legend, Ramp, categorical, rgb
+from bench.inspect.colors import ABSENT, PART_COLORS, Legend, Ramp, categorical, rgb
 from bench.inspect.inspection import GREY, ColoredLines, Inspector
 from bench.inspect.mesh_facts import MIPS
-from bench.inspect.page import PagePicture, PageSection, picture
+from bench.inspect.page import PageSection, picture
 from capture.read.template import part_of
-from geometry.mesh import half_edges
 
 SEAM_MEDIAN, SEAM_P99 = 1.0, 4.0  # bytes
 SEAMS = Ramp(0.0, 8.0, "/255")
 CONES = Ramp(0.0, 60.0, "°")
 SHARES = Ramp(0.0, 1.0)
-ATLAS = 820  # pixels
 
 
 def parts(inspector: Inspector) -> PageSection:
@@ -41,36 +38,6 @@ def weights(inspector: Inspector) -> PageSection:
     inspector.facts["joints_that_move_nothing_most"] = absent
     more = f"No vertex is moved most by: {', '.join(absent)}." if absent else ""
     return PageSection("weights", pictures, Legend(named=tuple((palette[k], JOINTS[k]) for k in used)), more=more)
-
-
-def texels(inspector: Inspector) -> PageSection:
-    """How fine the texture is where."""
-    millimetres = mesh_facts.texel_millimetres(inspector.level)
-    by_part = inspector.medians("texel_mm_by_part", millimetres)
-    if by_part["body"] and by_part["head"]:
-        ratio = by_part["body"] / by_part["head"]
-        inspector.check("texels of the head, against the body", f"{ratio:.1f} times as dense", "2 to 3", ratio > 1.9)
-    ramp = lengths_ramp(by_part)
-    image = inspector.draw(ramp.colors(millimetres))
-    rows = [("part", "median side of a texel, mm")]
-    rows += [(name, f"{value:.2f}" if value else "none") for name, value in by_part.items()]
-    pictures = [picture("texels", image, "side of a texel, millimetres"), _atlas(inspector)]
-    return PageSection("texels", pictures, ramp.legend((ABSENT, "no texels")), rows)
-
-
-def lengths_ramp(by_part: dict[str, float | None], stops: tuple[str, ...] = SEQUENTIAL) -> Ramp:
-    """Up to twice the longest of the parts' medians, millimetres."""
-    return Ramp(0.0, 2.0 * max([value for value in by_part.values() if value] or [1.0]), " mm", stops)
-
-
-def _atlas(inspector: Inspector) -> PagePicture:
-    """The base color with the edges of its charts."""
-    image = Image.fromarray(inspector.level.base_color).resize((ATLAS, ATLAS), Image.Resampling.LANCZOS)
-    draw = ImageDraw.Draw(image)
-    border, uses = np.unique(np.sort(half_edges(inspector.level.faces), axis=1), axis=0, return_counts=True)
-    for a, b in ATLAS * inspector.level.uv.astype(np.float64)[border[uses == 1]]:
-        draw.line([tuple(a), tuple(b)], fill=(255, 0, 170), width=1)
-    return picture("atlas", np.asarray(image), "base color, chart edges in pink", width=620)
 
 
 def seams(inspector: Inspector) -> PageSection:
@@ -120,8 +87,7 @@ def cones(inspector: Inspector) -> PageSection:
 
 
 def triangles(inspector: Inspector) -> PageSection:
-    """Sizes of triangles, and whether the mesh is closed."""
-    millimetres = mesh_facts.edge_millimetres(inspector.level)
+    """How many triangles each level has, and whether it is closed."""
     head = ("level", "triangles", "vertices", "texture", "open edges", "edges of more than two", "pieces")
     rows: list[tuple[str, ...]] = [head]
     found = []
@@ -136,9 +102,6 @@ def triangles(inspector: Inspector) -> PageSection:
     shown = ", ".join(f"{open_edges} and {crowded}" for open_edges, crowded in holes)
     what = "open edges, and edges of more than two triangles, level by level"
     inspector.check(what, shown, "0 and 0", not np.any(holes))
-    by_part = inspector.medians("edge_mm_by_part", millimetres)
-    ramp = lengths_ramp(by_part, PALE)
-    image = inspector.draw(ramp.colors(millimetres), wire=True)
-    text = ", ".join(f"{name} {value:.1f} mm" for name, value in by_part.items() if value)
-    pictures = [picture("triangles", image, "edge length, millimetres")]
-    return PageSection("triangles", pictures, ramp.legend(), rows, f"Medians: {text}.")
+    grey = np.tile(np.array(GREY, np.float64), (len(inspector.level.positions), 1))
+    pictures = [picture("triangles", inspector.draw(grey, wire=True), "the finest level")]
+    return PageSection("triangles", pictures, rows=rows)

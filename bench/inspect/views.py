@@ -15,8 +15,6 @@ MARGIN = 1.06
 
 
 class InspectView(NamedTuple):
-    """A camera on the canonical pose."""
-
     name: str
     camera: Camera
     target: np.ndarray  # (3,) metres

@@ -44,8 +44,6 @@ SIDE, ABOVE = 0.45, 0.18
 
 @dataclass(frozen=True)
 class Case:
-    """Effects that are timed together."""
-
     name: str
     effects: Effects
     # the same frame again and again
@@ -87,8 +85,6 @@ def face_at(shapes: int, frame: int) -> FaceFrame:
 
 
 class Drawn:
-    """One case on a renderer of its own."""
-
     def __init__(self, context: Context, avatar: Avatar, motion: Motion, case: Case, camera: Camera):
         self.track = Track(motion, joints=avatar.joint_positions, foot_lock=case.effects.foot_lock)
         self.case, self.camera, self.seconds = case, camera, 0.0

@@ -53,7 +53,6 @@ def times_of(context: Context, work: Callable[[], object]) -> tuple[float, float
 
 
 def cpu_name() -> str:
-    """The processor's own name."""
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):

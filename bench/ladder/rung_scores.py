@@ -75,7 +75,6 @@ def person_scores(
     boxes: list[dict[str, tuple[slice, slice]]],
     drawn: list,
 ) -> Json:
-    """Scores of a rung's pictures over the person, head and hands."""
     return compared(references, drawn, crops, masks) | {"parts": part_scores(references, drawn, boxes)}
 
 

@@ -14,7 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 from avatar.texture import bytes_of
 from bench.field.drawer import Drawer
 from bench.score.metrics import rectangle
-from capture.held_out import HeldOutView, read_capture_facts, read_held_out
+from capture.folder import read_capture_facts
+from capture.held_out import HeldOutView, read_held_out
 from files.whole import whole_file
 
 WIDTH = 1600  # pixels of a sheet

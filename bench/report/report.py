@@ -21,9 +21,8 @@ from bench.bench_command import BenchCommand
 from bench.ladder.machine import Quiet
 from bench.ladder.rung_pictures import SIZE, ComparedFrame, held_out_frames, motion_frames, rung_pictures
 from bench.ladder.rung_scores import crop_of, mark_dominated, part_boxes, person_scores, row_of
-from bench.report.contact import save_sheet
 from bench.report.frontier.page import PagePictures, frontier_page
-from bench.report.rung_page import markdown, plot, rung_sheet
+from bench.report.rung_page import markdown, plot
 from bench.report.writer import Json
 from files.whole import whole_folder, write_json, write_text
 from player.budget.ladder import Timing, rungs_of, time_rungs
@@ -34,7 +33,7 @@ Pictures = list[Float[Array, "height width 3"]]
 
 
 def bench(command: BenchCommand) -> Json:
-    """Measure the ladder, write bench.html, bench.json, bench.md, pareto.png and rungs.png into its folder."""
+    """Measure the ladder, write bench.html, bench.json, bench.md and pareto.png into its folder."""
     assert command.avatar is not None
     avatar, capture, run, rounds = read_avatar(command.avatar), command.capture, command.run, command.rounds
     count, size = command.frames, command.size or SIZE
@@ -90,7 +89,6 @@ def bench(command: BenchCommand) -> Json:
         write_text(folder / "bench.md", markdown(result))
         write_text(folder / "bench.html", frontier_page(result, first, avatar, rungs))
         plot(result, folder / "pareto.png")
-        save_sheet(folder / "rungs.png", rung_sheet(result, pictures, crops, truths))
     return result
 
 

@@ -1,4 +1,4 @@
-"""Accuracy against time as a table, a plot and a sheet of pictures."""
+"""Accuracy against time as a table and a plot."""
 
 import textwrap
 from collections.abc import Sequence
@@ -6,10 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image
 
-from avatar.texture import bytes_of
-from bench.report.contact import sheet
 from bench.report.writer import Json, markdown_table, number
 from bench.score.metrics import RUNG_METRICS
 from files.whole import whole_file
@@ -52,8 +49,6 @@ RUNG_COLUMNS = (
 
 
 class Point(NamedTuple):
-    """A rung in the figure."""
-
     ms: float
     flip: float
     name: str
@@ -90,7 +85,7 @@ def markdown(result: Json) -> str:
         for row in result["rungs"]
     ]
     lines += markdown_table(head, rows)
-    lines += ["", "![accuracy against time](pareto.png)", "", trade_sentence(result), "", "![rungs](rungs.png)", ""]
+    lines += ["", "![accuracy against time](pareto.png)", "", trade_sentence(result), ""]
     return "\n".join(lines)
 
 
@@ -203,15 +198,3 @@ def label_heights(wanted: Sequence[float]) -> list[float]:
     for i in reversed(range(len(placed) - 1)):
         placed[i] = min(placed[i], placed[i + 1] - apart)
     return placed.tolist()
-
-
-def rung_sheet(result: Json, pictures: dict, crops: list, truths: list) -> Image.Image:
-    """The first frame of every rung side by side."""
-    tiles, titles = [], []
-    if truths:
-        tiles.append([bytes_of(truths[0][crops[0]])])
-        titles.append(["truth"])
-    for row in result["rungs"]:
-        tiles.append([bytes_of(pictures[row["name"]][0][crops[0]])])
-        titles.append([f"{row['name']}: {row['ms_median']:.1f} ms"])
-    return sheet(tiles, titles, f"{result['avatar']}: rungs of accuracy against time", columns=min(6, len(tiles)))

@@ -142,7 +142,6 @@ def in_world(
 
 
 def moved(view: HeldOutView, T: Float[Array, "4 4"]) -> HeldOutView:
-    """The pose after a rigid motion."""
     axis_angle = view.axis_angle.copy()
     axis_angle[0] = axis_angle_from_matrix(T[:3, :3] @ matrix_from_axis_angle(axis_angle[0]))
     return replace(view, axis_angle=axis_angle, root=T[:3, :3] @ view.root + T[:3, 3])

@@ -188,10 +188,10 @@ METRICS = (
     Metric("chamfer_cm", "CD cm", 2, "lower", of_surfaces=lambda d: d.chamfer),
     Metric("f_5mm", "F 5 mm", 2, "higher", of_surfaces=lambda d: d.f_5mm),
     Metric("f_1cm", "F 1 cm", 2, "higher", of_surfaces=lambda d: d.f_1cm),
-    # pictures of the whole person; the standing person's and its parts' outlines: bench/score/outlines.py
+    # pictures of the whole person; the standing person's and its parts' outlines: bench/score/standing.py
     Metric("outline_iou", "IoU", 3, "higher", outline_iou),
     Metric("outline_worst", "IoU worst", 3, "higher", outline_iou, pool=min),
-    # features of the standing head: bench/score/landmarks.py
+    # features of the standing head: bench/score/standing.py
     Metric("face_mm", "face mm", 1, "lower"),
     Metric("face_on_head_mm", "face on head mm", 1, "lower"),
     Metric("psnr_db", "box dB", 2, "higher", lambda p: p.box_error(), of_rungs=True),

@@ -53,8 +53,6 @@ def box_pixels(camera: Camera, low: Float[Array, "3"], high: Float[Array, "3"]) 
 
 
 class Region(NamedTuple):
-    """Where one region of one picture is compared."""
-
     mask: Bool[Array, "height width"]  # its true pixels
     # the pixels looked at; both pictures are black elsewhere
     around: Bool[Array, "height width"]

@@ -24,10 +24,8 @@ from bench.ladder.machine import machine
 from bench.report.writer import Json
 from bench.score.filmed_poses import FilmedPoses, filmed_poses
 from bench.score.fitted_poses import fitted_views
-from bench.score.landmarks import face_landmarks_mm
 from bench.score.lpips import read_perceptual
 from bench.score.metrics import Perceive
-from bench.score.outlines import SIDES, outline_scores
 from bench.score.picture_scores import NO_EYES, PictureJudge, is_t_pose, score_images
 from bench.score.pose_distances import BESIDE, JudgedSurfaces, Placement, Rows, fitted_poses, measure_poses, same_poses
 from bench.score.posed_geometry import (
@@ -44,8 +42,8 @@ from bench.score.posed_geometry import (
 from bench.score.quality_table import PAPER
 from bench.score.region_scores import regions_of, rounded, with_outlines, without_eyes
 from bench.score.skeleton_distance import BODY, HANDS, LIMBS, joints_off, posed_skeletons, turned_off
+from bench.score.standing import SIDES, face_landmarks_mm, outline_scores
 from bench.score.true_mesh import TrueMesh, read_true_mesh
-from bench.score.view_modes import view_modes
 from capture.folder import CaptureSubject, input_kind, read_subject
 from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts, some_poses
 from command.errors import AssetError
@@ -64,8 +62,6 @@ def print_stage(text: str) -> None:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """What is judged, and against what."""
-
     drawer: Drawer
     truth: TrueMesh
     # held-out views by set, in true poses
@@ -102,9 +98,6 @@ def evaluate(
             what = prepared(drawer, truth, capture, kind, poses=poses, run=run)
             what = replace(what, perceive=perceive)
             result = measured(what)
-            if drawer.avatar is not None:
-                print_stage("every view mode of the avatar beside the true pictures")
-                result["view_modes"] = view_modes(drawer.avatar, what.ours or what.filmed)
         finally:
             drawer.release()
     kind_of_source = "avatar" if drawer.avatar is not None else "run"

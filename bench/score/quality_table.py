@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from bench.report.writer import Json, number
+from bench.report.writer import Json
 from bench.score.metrics import METRICS, Metric, text_of
 from capture.held_out import SETS
 
@@ -18,10 +18,6 @@ PAPER: dict[str, dict[str, float | None]] = {
 DECIBELS = (
     "box dB: PSNR over the box round the region, its black background included, which nearly always is right: higher",
     "the emptier the box. mask dB: over the true person alone, where a limb beside its place counts in full.",
-)
-INSIDE = (
-    "inside dB: over the pixels inside the true outline, less one, that the avatar covers: color alone, whatever the",
-    "outline. It lies several dB above the mask's, which counts every pixel of a limb that is elsewhere.",
 )
 
 
@@ -67,26 +63,10 @@ def cells(scores: Json, metrics: Sequence[Metric] = METRICS) -> list[str]:
     return [text_of(scores, metric) for metric in metrics]
 
 
-def view_mode_lines(result: Json) -> list[str]:
-    """Every view mode of an avatar beside the truth: PSNR inside the true person."""
-    modes = result.get("view_modes")
-    if modes is None:
-        return []
-    lines = ["View modes against the truth, inside dB (total, head, hands; all pictures):", *INSIDE]
-    for name, by_mode in modes["psnr_db"].items():
-        if name == "all":
-            continue
-        for mode, scores in by_mode.items():
-            cells = "  ".join(f"{region} {number(db)}" for region, db in scores.items())
-            lines.append(f"- {name.replace('_', ' ')}, {mode}: {cells}")
-    return [*lines, f"- default {modes['default']}; best here {modes['best']} ({modes['reason']})"]
-
-
 def print_table(result: Json) -> None:
-    """The table on standard output, and what its numbers mean."""
     rows = [["", *(metric.title for metric in METRICS)], *table_rows(result)]
     wide = max(len(row[0]) for row in rows)
     for row in rows:
         print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]))
     print(f"input: {result.get('input', 'given')}")
-    print("\n".join((*DECIBELS, *view_mode_lines(result))))
+    print("\n".join(DECIBELS))

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 from bench.report.writer import Json
 from bench.score.metrics import METRICS, PICTURE_METRICS, ImageScores
-from bench.score.outlines import OutlineScore
 from bench.score.posed_geometry import Distances, PoseDistances, pooled_distance
+from bench.score.standing import OutlineScore
 from bench.score.surface_distance import SurfaceDistance
 
 
@@ -65,7 +65,6 @@ def region_scores(distances: list[PoseDistances] | None, images: ImageScores | N
 
 
 def surface_scores(distance: SurfaceDistance) -> dict[str, float | None]:
-    """Every metric of surfaces, rounded."""
     return {m.key: rounded(m.of_surfaces(distance)) for m in METRICS if m.of_surfaces is not None}
 
 

@@ -51,8 +51,6 @@ TOPS = {"head": "head", "hand_left": "left_wrist", "hand_right": "right_wrist"}
 
 
 class _Drawn(NamedTuple):
-    """What a pose looks like."""
-
     hit: Bool[Array, "height width"]
     # the surface vertex nearest to each pixel that is hit
     vertex: Int[Array, "height width"]
@@ -60,8 +58,6 @@ class _Drawn(NamedTuple):
 
 
 class TrainedOutline:
-    """A trained surface whose outlines are laid on masks."""
-
     def __init__(self, surface: PosableSurface, raster: Rasteriser):
         self.surface, self.raster = surface, raster
 
@@ -114,7 +110,6 @@ class TrainedOutline:
         self, equations: NormalEquations, frame: Posed, camera: Camera, mask: Float[Array, "height width"], blur: float,
         moving: Int[Array, "m"], own: Bool[Array, "vertices"],
     ) -> None:  # fmt: skip
-        """Add all pixels near the outlines."""
         drawn = self._draw(frame, camera)
         if not drawn.hit.any():
             return

@@ -44,7 +44,6 @@ def check_capture(arguments: CheckCommand) -> int:
 
 
 def _check_videos(arguments: CheckCommand) -> int:
-    """Judge videos as filmed."""
     videos = examine_videos(arguments.capture, arguments.keypoints)
     judged = verdict_of(replace(p, part=at.glance.video.name) for at in videos.values() for p in at.problems)
     found = [*(at.line() for at in videos.values()), *found_lines(videos), *unfilmed_lines(videos)]

@@ -18,8 +18,6 @@ ENOUGH = 3
 
 @dataclass(frozen=True)
 class Coverage:
-    """How one part was seen."""
-
     # share of its outer surface seen in at least ENOUGH frames
     seen: float
     # degrees: the largest angle of the turn without a frame

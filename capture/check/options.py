@@ -9,8 +9,6 @@ from command.command_line import Help, Option, parse
 
 @dataclass(frozen=True)
 class CheckCommand:
-    """`selfscan check`."""
-
     capture: Annotated[
         tuple[Path, ...], Option(positional=True, metavar="CAPTURE", several=True),
         "folder made by `selfscan synth` or `selfscan import`; or videos as filmed: a folder with body.mp4, head.mp4, "

@@ -55,8 +55,6 @@ class PartReport:
 
 @dataclass(frozen=True)
 class CaptureReport:
-    """All of it."""
-
     height: float  # metres, of the template in pose 0
     landmarks: int
     # metres, root mean square of Eq. 6; nan where the landmarks determine nothing

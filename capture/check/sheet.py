@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Bool, Int, UInt8
 from numpy import ndarray as Array
 from PIL import Image, ImageDraw, ImageOps
-from scipy import ndimage
 
 from avatar.skeleton import PARTS
+from geometry.cells import rim_of
 
 TEMPLATE = np.array([[255, 210, 0], [0, 220, 255], [80, 255, 80], [255, 90, 255]], np.uint8)  # one per part
 MASK = np.array([255, 40, 40], np.uint8)
@@ -22,15 +22,10 @@ def overlay(
     begin = step // 2
     picture, mask = (a[begin::step, begin::step][: parts.shape[0], : parts.shape[1]] for a in (image, mask))
     picture = np.where(mask[..., None], picture, picture // 2)
-    picture[mask & ~_eroded(mask)] = MASK
+    picture[rim_of(mask)] = MASK
     for part in range(len(PARTS)):
-        edge = (parts == part) & ~_eroded(parts == part)
-        picture[edge] = TEMPLATE[part]
+        picture[rim_of(parts == part)] = TEMPLATE[part]
     return picture
-
-
-def _eroded(area: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
-    return np.asarray(ndimage.binary_erosion(area, border_value=1), bool)
 
 
 def contact_sheet(rows: list[list[tuple[str, UInt8[Array, "height width 3"]]]], side: int = 320) -> Image.Image:

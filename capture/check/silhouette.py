@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy import ndimage
 
 from avatar.camera import Camera
 from avatar.similarity import similarity_from_landmarks
@@ -14,7 +13,7 @@ from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import Capture
 from capture.videos import even
-from geometry.cells import distance_to, nearest_marked
+from geometry.cells import distance_to, nearest_marked, rim_of
 from geometry.rasterise import rasterise
 
 # outline error of the worst posed part beyond which poses are worth refining, in pixels as `common` counts them.
@@ -130,7 +129,7 @@ def agreement(parts: Int[Array, "height width"], mask: Bool[Array, "height width
     near = own & (distance_to(template) < 0.1 * mask.shape[0])
     both, either = (near & template & mask).sum(), (near & (template | mask)).sum()
     iou, fill = float(both / either), float((near & mask).sum() / (near & template).sum())
-    of_template, of_mask = _outline(template), _outline(mask)
+    of_template, of_mask = rim_of(template), rim_of(mask)
     here = of_template & own
     if not here.any() or not of_mask.any():
         return Agreement(np.nan, np.nan, np.nan, iou, fill)
@@ -144,8 +143,3 @@ def agreement(parts: Int[Array, "height width"], mask: Bool[Array, "height width
     both = [beyond, within] if len(within) else [beyond]
     edge, spread = (float(np.mean([np.abs(one - o).mean() for one in both])) for o in (0.0, offset))
     return Agreement(edge, offset, spread, iou, fill)
-
-
-def _outline(area: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
-    """Pixels of the area with a neighbour outside it; what lies beyond the image counts as the area."""
-    return area & ~np.asarray(ndimage.binary_erosion(area, border_value=1), bool)

@@ -49,7 +49,6 @@ class UnseenPlace:
     advice: str
 
     def line(self) -> str:
-        """The place and what to do, in one line."""
         return f"{self.what} hardly seen ({self.area * 1e4:.0f} cm²): {self.advice}"
 
 

@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from avatar.camera import Camera, project
+from geometry.cells import rim_of
 from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
 
@@ -44,7 +45,7 @@ class Contour(NamedTuple):
 
 def pixel_contour(area: Bool[Array, "height width"]) -> Contour:
     """The outermost pixels of an area, those at the border of the picture left out."""
-    row, column = np.nonzero(area & ~np.asarray(ndimage.binary_erosion(area, border_value=1), bool))
+    row, column = np.nonzero(rim_of(area))
     smooth = np.asarray(ndimage.gaussian_filter(area.astype(np.float32), 1.5, mode="nearest"))
     down, right = np.gradient(smooth, axis=0), np.gradient(smooth, axis=1)
     normals = -np.stack([right[row, column], down[row, column]], 1)

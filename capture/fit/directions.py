@@ -25,8 +25,6 @@ ROUNDS = 4
 
 
 class Directions(NamedTuple):
-    """The guess of every frame."""
-
     rotation: Float[Array, "frames 3 3"]  # world_from_points
     scale: Float[Array, "frames"]  # pixels of a metre at the points
     origin: Float[Array, "frames 2"]  # pixels of the points' origin

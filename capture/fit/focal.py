@@ -29,8 +29,6 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Focal:
-    """A focal length and how sure it is."""
-
     shorter_sides: float  # lengths of the picture's shorter side
     sigma: float  # relative standard deviation
 

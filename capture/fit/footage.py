@@ -36,12 +36,10 @@ class Footage:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the pictures."""
         return self.masks.shape[2], self.masks.shape[1]
 
     @property
     def turning(self) -> Int[Array, "m"]:
-        """Joints that turn, the pelvis first."""
         return np.r_[0, self.moving]
 
     @property
@@ -54,7 +52,6 @@ class Footage:
         return [table[name] for name in self.names]
 
     def rows(self, chosen: Int[Array, "n"]) -> "Footage":
-        """Some of the frames."""
         return replace(self, pixels=self.pixels[chosen], sure=self.sure[chosen], masks=self.masks[chosen])
 
 
@@ -110,7 +107,6 @@ class Estimate:
         return SkinnedPoints(rest, directions, bones, np.ones((len(points), 1)))
 
     def skin(self, vertices: Int[Array, "n"] | slice = slice(None)) -> SkinnedPoints:
-        """Vertices of the surface."""
         person, skin = self.person, self.person.body.skin
         rest = person.vertices(self.g, vertices)
         return SkinnedPoints(rest, person.vertex_directions[vertices], skin.joints[vertices], skin.weights[vertices])

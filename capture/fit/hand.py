@@ -43,7 +43,6 @@ def hand_names(side: str) -> tuple[str, ...]:
 
 
 def hand_joints(side: str) -> np.ndarray:
-    """Joints that turn: the wrist and the fingers'."""
     return np.array([JOINTS.index(f"{side}_wrist")] + [k for k in range(22, 52) if JOINTS[k].startswith(side)])
 
 

@@ -48,7 +48,6 @@ def turning(estimate: Estimate, footage: Footage) -> Priors:
 
 
 def head_vertices(person: Person) -> Bool[Array, "vertices"]:
-    """Vertices that move with the head alone."""
     return part_of(person.body.skin) == PARTS.index("head")
 
 

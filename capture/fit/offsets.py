@@ -92,7 +92,6 @@ def dressed(
     estimate: Estimate, footage: Footage, outlines: Outlines, chosen: Bool[Array, "vertices"],
     stiffness: tuple[float, ...] = STIFFNESS,
 ) -> Estimate:  # fmt: skip
-    """The estimate with the `chosen` vertices' offsets for which the outlines agree best."""
     offsets = fit_offsets(estimate, footage, outlines, chosen, stiffness)
     return replace(estimate, person=estimate.person.with_offsets(offsets))
 

@@ -58,7 +58,6 @@ class Person:
         return self.body.vertices[chosen] + self.vertex_directions[chosen] @ g + self.offsets[chosen]
 
     def joints(self, g: Float[Array, "g"]) -> Float[Array, "52 3"]:
-        """Joints in pose 0."""
         return self.body.joints + self.joint_directions @ g
 
     def height(self) -> tuple[float, Float[Array, "g"]]:
@@ -68,7 +67,6 @@ class Person:
         return float(y[top] - y[sole]), self.vertex_directions[top, 1] - self.vertex_directions[sole, 1]
 
     def with_offsets(self, offsets: Float[Array, "vertices 3"]) -> "Person":
-        """The same with other offsets."""
         return replace(self, offsets=offsets)
 
 

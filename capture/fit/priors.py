@@ -81,8 +81,6 @@ def bias_of(names: tuple[str, ...]) -> Float[Array, "points"]:
 
 
 class Shared(NamedTuple):
-    """Where the shared unknowns stand."""
-
     g: slice
     bias: slice
     focal: int
@@ -91,7 +89,6 @@ class Shared(NamedTuple):
 
 
 def shared_layout(estimate: Estimate, footage: Footage) -> Shared:
-    """The unknowns that all frames share."""
     g, points = len(estimate.g), 3 * len(footage.names)
     mean = g + points + 1
     return Shared(slice(0, g), slice(g, g + points), g + points, slice(mean, mean + 3 * len(footage.moving)),

@@ -223,7 +223,6 @@ def read_refined(path: Path, video: PartVideo) -> PartVideo:
 
 
 def _with_poses(video: PartVideo, axis_angle: Array | None, root: Array | None, kept: Int[Array, "k"]) -> PartVideo:
-    """The frames `kept` of a video, in these poses."""
     if len(kept) == len(video.images) and (kept == np.arange(len(kept))).all():
         # no second copy of all pixels
         return replace(video, axis_angle=axis_angle, root=root)

@@ -147,13 +147,10 @@ def _with_close_ups(
 
 
 class _Fit:
-    """Steps of the fit, each reported as it goes on."""
-
     def __init__(self, show: Callable[[int, str], None]):
         self.show, self.done = show, 0
 
     def step(self, name: str, make: Callable[[body.Report], Step]) -> Step:
-        """What a step finds."""
         end = self.done + STEPS[name]
         found = make(lambda note: self.report(f"{name}: {note}"))
         self.done = end
@@ -242,7 +239,6 @@ def carried(part: str, body: FittedVideo, joints: Float[Array, "52 3"]) -> Fitte
 
 
 def template_of(estimate: Estimate) -> TemplateMesh:
-    """The person in pose 0."""
     person = estimate.person
     base = person.body
     vertices, joints = person.vertices(estimate.g), person.joints(estimate.g)

@@ -21,7 +21,6 @@ LONGEST = 0.5
 
 
 def posed_frames(estimate: Estimate) -> Posed:
-    """The skeleton in all frames."""
     return posed(estimate.skeleton(), estimate.root, estimate.heading, estimate.angles)
 
 
@@ -51,7 +50,6 @@ def solve(
 def assemble(
     estimate: Estimate, footage: Footage, priors: Priors, cut: float, terms: tuple[Term, ...]
 ) -> tuple[NormalEquations, float]:
-    """The normal equations at an estimate, and its cost."""
     layout = shared_layout(estimate, footage)
     equations = NormalEquations(len(estimate.root), 6 + 3 * len(footage.moving), layout.count)
     frames = posed_frames(estimate)

@@ -21,7 +21,6 @@ NAMES = (*BODY_25, *MORE)
 
 
 def is_openpose(content: Any) -> bool:
-    """Whether parsed JSON is a frame of OpenPose."""
     return isinstance(content, dict) and isinstance(content.get("people"), list)
 
 

@@ -56,7 +56,6 @@ class Keypoints:
         return out
 
     def of_frames(self, frames: Int[Array, "kept"]) -> "Keypoints":
-        """The record of some of the frames."""
         others = None if self.others is None else self.others[frames]
         return replace(self, pixels=self.pixels[frames], confidence=self.confidence[frames], others=others)
 
@@ -136,7 +135,6 @@ def in_words(counts: tuple[int, ...]) -> str:
 
 
 def number(place: str, value: Any) -> float:
-    """A finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
         raise AssetError(f"{place} should be finite numbers below {LARGEST:g}, has {str(value)[:40]!r}")
     return float(value)

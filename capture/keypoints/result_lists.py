@@ -26,7 +26,6 @@ Images = dict[int | str, list[Float[Array, "points 3"]]]
 
 
 def is_result_list(content: Any) -> bool:
-    """Whether parsed JSON is of one of these kinds."""
     if isinstance(content, dict):
         return isinstance(content.get("instance_info"), list)
     first = content[0] if isinstance(content, list) and content else None

@@ -131,8 +131,6 @@ def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:
 
 @dataclass(frozen=True)
 class _Parameters:
-    """A light while it is fitted."""
-
     ambient: float
     # directions times strengths
     lamps: Float[Array, "lamps 3"]

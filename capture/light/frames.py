@@ -46,5 +46,4 @@ def light_from_video(
 
 
 def _rotation(similarity: Float[Array, "4 4"]) -> Float[Array, "3 3"]:
-    """Its rotation, without its scale."""
     return similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))

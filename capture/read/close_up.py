@@ -7,9 +7,8 @@ away from the part becomes a mixture that supervises nothing, neither the part n
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
-from scipy import ndimage
 from scipy.spatial import KDTree
 
 from avatar.camera import Camera
@@ -18,6 +17,7 @@ from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.raw.scan import FittedVideo
 from capture.read.template import TemplateMesh
+from geometry.cells import distance_to
 from geometry.rasterise import rasterise
 
 # metres of forearm that belong to a hand, and beside a part's outline that may be it; hair stands off a head farther,
@@ -54,10 +54,11 @@ class PartMasks:
             return np.where(mask > 0, UNKNOWN, 0).astype(np.uint8)
         depth = float(np.median(drawn.depth[drawn.face >= 0]))
         metre = self.unit * small.K[0, 0] / depth
-        near = _grown(drawn.face >= 0, BESIDE * metre)
+        away = distance_to(drawn.face >= 0)
+        near = away <= BESIDE * metre
         if self.part == "head":
             chin = int(np.flatnonzero((drawn.face >= 0).any(1))[-1])
-            near[:chin] |= _grown(drawn.face >= 0, HAIR * metre)[:chin]
+            near[:chin] |= away[:chin] <= HAIR * metre
         rows, columns = (np.minimum(np.arange(n) // step, m - 1) for n, m in zip(mask.shape, near.shape))
         return np.where(near[rows][:, columns] | (mask == 0), mask, UNKNOWN).astype(np.uint8)
 
@@ -68,7 +69,3 @@ class PartMasks:
             return template.vertices @ self.head_from_rest[:3, :3].T + self.head_from_rest[:3, 3]
         B = skin_transforms(fit.axis_angle[i], template.joints, fit.root[i], rest=np.zeros((52, 3)))
         return skin_points(template.vertices, template.skin, B)
-
-
-def _grown(area: Bool[Array, "height width"], pixels: float) -> Bool[Array, "height width"]:
-    return np.asarray(ndimage.distance_transform_edt(~area)) <= pixels

@@ -131,7 +131,6 @@ def _lenses(path: Path) -> dict[int, Camera]:
 
 
 def _images(path: Path, lenses: dict[int, Camera]) -> dict[str, Camera]:
-    """The camera of each image, by its name."""
     file, cameras = _Bytes(path), {}
     for _ in range(file.count(73, "images")):
         _, w, x, y, z, *t, camera = file.take("<I4d3dI")

@@ -21,8 +21,6 @@ Frames = Annotated[int, AtLeast(1), AtMost(1_000_000), "most frames of a video"]
 
 @dataclass(frozen=True)
 class TotalSelfScanCommand:
-    """`selfscan import totalselfscan`."""
-
     source: Annotated[Path, Option(positional=True, metavar="SRC"), "the subject's folder"]
     out: Annotated[Path, Option(positional=True, metavar="OUT"), "capture folder to write"]
     frames: Frames = MOST_FRAMES
@@ -33,8 +31,6 @@ class TotalSelfScanCommand:
 
 @dataclass(frozen=True)
 class EasyMocapCommand:
-    """`selfscan import easymocap`."""
-
     source: Annotated[Path, Option(positional=True, metavar="SRC"), "folder with body, head, hand_left, hand_right"]
     out: Annotated[Path, Option(positional=True, metavar="OUT"), "capture folder to write"]
     body: Annotated[Path, Option(metavar="MODEL"), "the SMPL+H model of the fits (.pkl, .npz)"]
@@ -79,8 +75,6 @@ class FilmOptions:
 
 @dataclass(frozen=True)
 class VideoCommand:
-    """`selfscan import video`."""
-
     videos: Annotated[
         tuple[Path, ...],
         Option(positional=True, metavar="BODY HEAD LEFT RIGHT", several=True),

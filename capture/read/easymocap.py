@@ -19,13 +19,14 @@ from numpy import ndarray as Array
 
 from avatar.body import Body, shaped
 from avatar.camera import Camera
+from avatar.motion.clip import spread_frames
 from avatar.motion.easymocap import RESULT_FOLDERS, EasyMocapFit, frame_numbers, read_fit
 from avatar.motion.pose_vector import TURNS, up_axis, upright_of
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.read.colmap import read_colmap
-from capture.read.folder import PICTURES, SourceVideo, anchored, mask_of, pictures_in, spread, write_capture
+from capture.read.folder import PICTURES, SourceVideo, anchored, mask_of, pictures_in, write_capture
 from capture.read.landmarks import LEAST, read_pixels, triangulated
 from capture.read.opencv_yaml import read_easymocap_camera
 from capture.read.places import SPOTS, landmark_vertices
@@ -117,7 +118,7 @@ def _frame_files(folder: Path, part: str, most: int, notes: list[str]) -> list[t
             f"{results}: expected poses of each of {len(images)} images, found {len(poses)}{first}: remove images that "
             "EasyMocap could not fit"
         )
-    frames = spread(len(images), most)
+    frames = spread_frames(len(images), most)
     pairs = []
     for k in frames:
         stem = images[k].stem
@@ -188,7 +189,7 @@ def _head_video(
     if len(registered) < len(images):
         left_out = len(images) - len(registered)
         notes.append(f"head: {left_out} of {len(images)} images are not in COLMAP's model, left out")
-    frames = spread(len(registered), most)
+    frames = spread_frames(len(registered), most)
     chosen = [registered[k] for k in frames]
     notes.append(f"head: {len(chosen)} of {len(registered)} registered frames, {chosen[0].stem} to {chosen[-1].stem}")
     seen, vertices = read_pixels(landmarks)

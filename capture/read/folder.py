@@ -31,8 +31,6 @@ ANCHORS = {"body": 0, "hand_left": 20, "hand_right": 21}
 
 @dataclass(frozen=True)
 class SourceVideo:
-    """One of the four videos before it is written."""
-
     images: tuple[Path, ...]
     masks: tuple[Path, ...]
     # a mask's every value but 0 is the person (labels); else 0 and 1, or 0 and 255
@@ -137,11 +135,6 @@ def mask_of(folder: Path, image: Path) -> Path:
         if (folder / f"{image.stem}{suffix}").is_file():
             return folder / f"{image.stem}{suffix}"
     raise AssetError(f"{folder / (image.stem + '.png')}: no such mask, expected one for {image.name}")
-
-
-def spread(count: int, most: int) -> Array:
-    """Indices of at most `most` frames, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
 def anchored(

@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from avatar.body import Body
 from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, PARTS, RIGHT_HAND
 from avatar.skinning import SkinWeights
+from capture.folder import other_unit
 from command.errors import AssetError
 from files.whole import whole_file
 
@@ -36,7 +37,6 @@ class TemplateMesh:
 
 
 def body_template(body: Body) -> TemplateMesh:
-    """The template of a shaped body."""
     licence = body.licence if body.name.startswith("builtin") else LICENSED.format(body.name)
     return TemplateMesh(body.vertices, body.faces, body.skin, body.joints, licence, body.uv, body.uv_faces)
 
@@ -54,11 +54,8 @@ def check_height(place: str, vertices: Float[Array, "vertices 3"]) -> None:
     """Refuse a body that is not as tall as a person: another unit, another up axis, a part of a body."""
     height = float(np.ptp(vertices[:, 1]))
     if not HEIGHT[0] <= height <= HEIGHT[1]:
-        unit = next((f": {name}?" for name, k in (("millimetres", 1000), ("centimetres", 100))
-                     if HEIGHT[0] * k <= height <= HEIGHT[1] * k), "")  # fmt: skip
-        raise AssetError(
-            f"{place} should be a person {HEIGHT[0]} to {HEIGHT[1]} m tall (y up, metres), is {height:.4g}{unit}"
-        )
+        found = f"{height:.4g}{other_unit(height)}"
+        raise AssetError(f"{place} should be a person {HEIGHT[0]} to {HEIGHT[1]} m tall (y up, metres), is {found}")
 
 
 def write_template(

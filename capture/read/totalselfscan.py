@@ -28,12 +28,13 @@ from scipy.spatial import KDTree
 
 from avatar.body import Body
 from avatar.camera import Camera
+from avatar.motion.clip import spread_frames
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.read.authors_files import field, numbers, record
 from capture.read.authors_template import AuthorsSkeleton, authors_template, read_skeleton
-from capture.read.folder import MOST_FRAMES, SourceVideo, anchored, mask_of, pictures_in, spread, write_capture
+from capture.read.folder import MOST_FRAMES, SourceVideo, anchored, mask_of, pictures_in, write_capture
 from capture.read.opencv_yaml import opencv_camera
 from capture.read.places import landmark_vertices
 from capture.read.template import TemplateMesh
@@ -83,7 +84,7 @@ def _frames_of(count: int, part: str, most: int, notes: list[str]) -> Array:
     """The frames to take: the authors' where the video is as long as the authors', else some, evenly spread."""
     start, step, number = AUTHORS_FRAMES[part]
     whole = start + step * (number - 1) < count
-    frames = start + step * np.arange(number) if whole else spread(count, most)
+    frames = start + step * np.arange(number) if whole else spread_frames(count, most)
     notes.append(f"{part}: {len(frames)} of {count} frames, {frames[0]} to {frames[-1]}")
     return frames
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avatar.motion.clip import spread_frames
 from avatar.skeleton import PARTS
 from capture.frame_files import sized_picture, write_picture
 from capture.keypoints.record import Keypoints
@@ -42,8 +43,6 @@ Fit = Callable[[RawScan], FittedScan]
 
 @dataclass(frozen=True)
 class VideoImport:
-    """What is imported, and with what help."""
-
     videos: Mapping[str, Path]  # by part
     keypoints: Path
     # None: made from the videos
@@ -115,7 +114,6 @@ class _Chosen(NamedTuple):
 
 
 def _prepared(job: _Chosen, report: Reporter) -> RawVideo:
-    """The chosen frames as pictures, with their masks."""
     given, judged, chosen, work = job
     at = judged.glance
     images, masks = work / "images", work / "masks"
@@ -141,7 +139,6 @@ def _prepared(job: _Chosen, report: Reporter) -> RawVideo:
 
 
 def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths: list[Path], report: Reporter) -> None:
-    """Masks from the video itself."""
     missing = [i for i, path in enumerate(paths) if not path.exists()]
     if not missing:
         return
@@ -149,7 +146,7 @@ def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths
     if judged.empty.any():
         plate = plate_of_empty(at.video, np.flatnonzero(judged.empty))
     else:
-        spread = np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), 30)).astype(int))
+        spread = spread_frames(len(pictures), 30)
         plate = plate_of_free([read_picture(pictures[i]) for i in spread], keypoints.of_frames(spread))
     for i in missing:
         report.step(i, "masks")
@@ -183,7 +180,6 @@ def _grey(path: Path, size: tuple[int, int]) -> np.ndarray:
 
 
 def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: VideoImport, notes: list[str]) -> None:
-    """The capture folder of a fitted scan."""
     videos, numbers = {}, {}
     for part in PARTS:
         film = given.videos.get(part, given.videos["body"])

@@ -26,6 +26,7 @@ from capture.folder import CaptureSubject, PartVideo
 from capture.template.hull import head_cameras
 from capture.template.surface import neck_height
 from capture.videos import even
+from geometry.cells import rim_of
 from geometry.icp import INDEPENDENT, Anchors
 from geometry.least_squares import robust_weight
 from geometry.mesh import vertex_normals
@@ -44,8 +45,6 @@ BLUR = 0.7
 
 
 class HeadHeight(NamedTuple):
-    """Where the outlines have the head."""
-
     canonical_from_head: Float[Array, "4 4"]
     shift: float  # metres that the template's place rose on the pictured head; what was placed sinks by it
     thickness: float  # pixels, c
@@ -109,8 +108,7 @@ def _outline(
     mask (inside positive), and how they change per metre of height."""
     width, height = camera.size
     drawn = rasterise(placed, faces, camera).face
-    rim = (drawn >= 0) & ~np.asarray(ndimage.binary_erosion(drawn >= 0, border_value=1), bool)
-    corners = faces[drawn[rim]]
+    corners = faces[drawn[rim_of(drawn >= 0)]]
     # each triangle's corner whose normal lies most across the view
     view = placed[corners] - camera.eye
     across = np.abs((normals[corners] * view).sum(2)) / np.linalg.norm(view, axis=2)

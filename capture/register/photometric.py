@@ -56,8 +56,6 @@ class ColoredHead(NamedTuple):
 
 
 class VideoFit(NamedTuple):
-    """Where the body's video has the head."""
-
     transform: Float[Array, "4 4"]  # canonical_from_head_field, a similarity
     # root of the mean rho over coverage and color (0 to 1), at the start
     before: float
@@ -105,8 +103,6 @@ def refine_on_video(
 
 
 class _PaintedTemplate(NamedTuple):
-    """The template with what its faces show."""
-
     subject: CaptureSubject
     head: Bool[Array, "faces"]  # faces of the head that the field shows
     color: Float[Array, "faces 3"]
@@ -115,7 +111,6 @@ class _PaintedTemplate(NamedTuple):
 def _add_frame(
     equations: PlaceEquations, scene: _PaintedTemplate, placed: Float[Array, "vertices 3"], video: PartVideo, frame: int
 ) -> None:
-    """Add one frame's pixels."""
     assert video.axis_angle is not None and video.root is not None
     subject = scene.subject
     B = skin_transforms(video.axis_angle[frame], subject.joints, video.root[frame])

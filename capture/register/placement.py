@@ -49,8 +49,6 @@ class PlaceEquations:
 
 
 class TriedPlace(NamedTuple):
-    """A place that was tried."""
-
     transform: Float[Array, "4 4"]
     residual: float  # root of the mean rho
 

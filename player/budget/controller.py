@@ -55,7 +55,6 @@ class BudgetController:
 
     @property
     def costlier(self) -> PricedRung | None:
-        """The next better rung."""
         above = [one for one in self.front if one.ms_p95 > self.current.ms_p95 and one.error < self.current.error]
         return above[0] if above else None
 

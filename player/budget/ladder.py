@@ -40,8 +40,6 @@ HEADROOM = 0.05
 
 
 class Timing(NamedTuple):
-    """What a rung took."""
-
     ms: Float[np.ndarray, "rounds"]  # one frame each, milliseconds
     bytes: int  # GL memory of the rung's plan, target included
     start_ms: float  # until the first frame is drawn: programs, textures, meshes
@@ -159,8 +157,6 @@ def frame_ms(
 
 @dataclass(frozen=True)
 class PricedRung:
-    """What a rung costs here."""
-
     rung: Rung
     ms_median: float
     ms_p95: float
@@ -208,14 +204,6 @@ def best_within(priced: Sequence[PricedRung], budget: float) -> PricedRung:
     return within(priced, (1 - HEADROOM) * budget) or frontier(priced)[0]
 
 
-def at_quality(priced: Sequence[PricedRung], quality: float) -> PricedRung:
-    """A place on the frontier: 0 its cheapest rung, 1 its most exact, between them by the logarithm of the time."""
-    front = frontier(priced)
-    least, most = (math.log(max(one.ms_median, SHORTEST)) for one in (front[0], front[-1]))
-    allowed = least + quality * (most - least) + 1e-9
-    return [one for one in front if math.log(max(one.ms_median, SHORTEST)) <= allowed or one is front[0]][-1]
-
-
 def parse_budget(text: str) -> float:
     """8ms or 120fps, as milliseconds."""
     word = text.strip().lower()
@@ -230,15 +218,14 @@ def parse_budget(text: str) -> float:
     return budget
 
 
-def choice_words(chosen: PricedRung, priced: Sequence[PricedRung], budget: float | None) -> str:
+def choice_words(chosen: PricedRung, priced: Sequence[PricedRung], budget: float) -> str:
     """What was chosen, what it costs and loses, and what the next better one would cost."""
     front = frontier(priced)
     best = front[-1]
-    words = f"{chosen.rung.name}: {chosen.ms_median:.1f} ms a frame here, p95 {chosen.ms_p95:.1f}"
-    if budget is not None:
-        words = f"budget {budget:.3g} ms: {words}"
-        if chosen.ms_p95 > budget:
-            words += "; nothing is faster"
+    cost = f"{chosen.ms_median:.1f} ms a frame here, p95 {chosen.ms_p95:.1f}"
+    words = f"budget {budget:.3g} ms: {chosen.rung.name}: {cost}"
+    if chosen.ms_p95 > budget:
+        words += "; nothing is faster"
     if chosen is best:
         return f"{words}; the best there is"
     words += f"; {chosen.error:.1f} of 255 from {best.rung.name}"

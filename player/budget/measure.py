@@ -32,8 +32,6 @@ NOTHING = replace(PLAIN, view="off")
 
 
 class BudgetScene(NamedTuple):
-    """What is drawn, and how, but for the rung."""
-
     avatars: Sequence[Avatar]
     frames: Sequence[Frame]
     size: tuple[int, int]

@@ -11,13 +11,12 @@ import platform
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 
 from command.errors import AssetError
 from command.progress import progress
 from files.whole import write_json
-from player.budget.ladder import PricedRung, at_quality, best_within, scene_rungs
+from player.budget.ladder import PricedRung, best_within, scene_rungs
 from player.budget.measure import BudgetScene, check, price
 from player.budget.rung import Rung
 from player.gl.context import Context
@@ -34,12 +33,10 @@ def cache_folder() -> Path:
 
 
 def rung_within(
-    context: Context, scene: BudgetScene, files: Sequence[str], *, level: int | None = None,
-    budget: float | None = None, quality: float = 1.0,
-) -> tuple[list[PricedRung], PricedRung]:  # fmt: skip
-    """The prices of a scene's rungs, from the cache where they still hold, and the one that a budget buys, ms, or where
-    there is none a place on the frontier. A view mode of the effects that is not auto, and a level that is given, are
-    kept; `files` are those of the avatars.
+    context: Context, scene: BudgetScene, files: Sequence[str], *, budget: float, level: int | None = None
+) -> tuple[list[PricedRung], PricedRung]:
+    """The prices of a scene's rungs, from the cache where they still hold, and the one that a budget buys, ms. A view
+    mode of the effects that is not auto, and a level that is given, are kept; `files` are those of the avatars.
 
     Raises:
         ValueError: a view mode that an avatar does not hold.
@@ -47,17 +44,16 @@ def rung_within(
     if scene.effects.motion_blur is not None or scene.effects.depth_of_field is not None:
         raise ValueError("motion blur and depth of field draw a frame many times: expected none of them with a budget")
     rungs = scene_rungs(scene.avatars, view=scene.effects.view, level=level)
-    choose = partial(at_quality, quality=quality) if budget is None else partial(best_within, budget=budget)
     path = cache_folder() / "budget" / f"{key_of(context, scene, files, rungs)}.json"
     kept = read_table(path, rungs)
     if kept is not None:
-        chosen = choose(kept)
+        chosen = best_within(kept, budget)
         now = check(context, scene, chosen.rung)
         if 1 / STALE <= now / max(chosen.ms_median, 1e-6) <= STALE:
             return kept, chosen
     priced = price(context, scene, rungs, report=lambda rounds: progress(rounds, "timing what fits the budget"))
     write_table(path, priced)
-    return priced, choose(priced)
+    return priced, best_within(priced, budget)
 
 
 def key_of(context: Context, scene: BudgetScene, files: Sequence[str], rungs: Sequence[Rung]) -> str:

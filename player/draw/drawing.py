@@ -23,8 +23,6 @@ READ_FRAMEBUFFER, DRAW_FRAMEBUFFER, COLOR_BUFFER_BIT, NEAREST = 0x8CA8, 0x8CA9, 
 
 
 class Pose(NamedTuple):
-    """What one avatar does in a frame."""
-
     axis_angle: Float[np.ndarray, "52 3"]
     root: Float[np.ndarray, "3"]  # pelvis joint in world, metres
     # None: the face at rest
@@ -38,8 +36,6 @@ GivenPose = Pose | BarePose
 
 @dataclass(frozen=True)
 class FrameInputs:
-    """What decides a frame."""
-
     framebuffer: moderngl.Framebuffer
     poses: tuple[Pose, ...]
     camera: Camera
@@ -142,7 +138,6 @@ class Drawing:
         return buffer
 
     def bind(self, handle: Handle[moderngl.Buffer], block: str, content: Callable[[], bytes | np.ndarray]) -> None:
-        """Bind a uniform block with its content of this frame."""
         self.write(handle, content).bind_to_uniform_block(BINDING[block][1])
 
     def enter(self, layer: Layer) -> None:

@@ -145,7 +145,6 @@ class FaceOffsets:
 
     @property
     def buffer(self) -> Attributes:
-        """What a vertex array gains."""
         return self.slots, "1u4", "face_slot"
 
     def frame(self, drawing: Drawing) -> FaceFrame:

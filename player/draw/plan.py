@@ -44,8 +44,6 @@ MARGIN = 2  # pixels round an avatar that antialiasing can change
 
 
 class Stage(IntEnum):
-    """Where in a frame an effect draws."""
-
     BACKGROUND = 0
     # what avatars stand on
     GROUND = 1
@@ -56,8 +54,6 @@ class Stage(IntEnum):
 
 
 class PassState(StrEnum):
-    """What becomes of a pass in a frame."""
-
     RUNS = "runs"
     # its last result still holds
     KEPT = "kept"
@@ -157,7 +153,6 @@ class Plan:
 
     @property
     def bytes(self) -> int:
-        """GL memory that it takes."""
         return sum(handle.bytes for handle in self.handles)
 
     def objects(self) -> dict[str, int]:

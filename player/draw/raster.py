@@ -94,7 +94,6 @@ class Rasteriser:
         return Fragments(face, barycentric, np.where(hit, raw[..., 3], np.float32(np.inf)))
 
     def release(self) -> None:
-        """Free everything on the graphics side."""
         self.context.make_current()
         self.context.leave_framebuffer()
         for thing in (self.vertex_array, self.vertices, self.program):

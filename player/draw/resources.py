@@ -59,8 +59,6 @@ class Image:
 
 
 class PlanResources:
-    """The GL objects of a plan, by handle."""
-
     def __init__(self, context: Context):
         self.context = context
         self._made: dict[AnyHandle, Any] = {}
@@ -97,5 +95,4 @@ class PlanResources:
         self[handle].bind_to_uniform_block(BINDING[block][1])
 
     def release(self) -> None:
-        """Free everything."""
         self.apply(())

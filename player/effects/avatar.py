@@ -47,7 +47,6 @@ class Avatars:
 
 
 def paper_pass(draft: Draft, avatar: int, base_color: Handle[moderngl.Texture], view: Pass) -> AvatarPass:
-    """The pass in the paper's colors, where the pass `view` does not show."""
     mesh = posed_mesh(draft, avatar, directions=light_on(draft, avatar) is not None)
     shading = shading_of(draft, avatar, mesh, samplers=("base_color",), VIEW_STAGE=0)
     what = f"{draft.avatars[avatar].name}, {len(draft.levels[avatar].faces)} triangles"

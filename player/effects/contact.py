@@ -66,8 +66,6 @@ class Contact:
 
 @dataclass(frozen=True)
 class AvatarContact:
-    """One avatar's capsules in a plan."""
-
     avatar: int
     strength: float
     body: Callable[[], Capsules]  # fitted when they are first needed: a quarter of a second

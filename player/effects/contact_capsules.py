@@ -149,7 +149,6 @@ def squared_distances(points: Array, starts: Array, ends: Array) -> Float[Array,
 
 
 def _nearest(points: Array, start: Array, end: Array) -> Float[Array, "n 3"]:
-    """The point of a segment nearest to each point."""
     along = end - start
     share = np.clip((points - start) @ along / max(float(along @ along), 1e-12), 0, 1)
     return start + share[:, None] * along

@@ -25,14 +25,11 @@ AWAY = Decision(PassState.SKIPPED, "the ground is out of view, or seen from belo
 
 
 class Sheet(NamedTuple):
-    """A rectangle of a level plane."""
-
     anchor: Float[Array, "3"]  # world, metres
     reach: tuple[float, float, float, float]  # x0, z0, x1, z1 about the anchor, metres
 
     @property
     def corners(self) -> Float[Array, "4 3"]:
-        """Its corners in the world, in turn."""
         x0, z0, x1, z1 = self.reach
         return self.anchor + np.array([[x0, 0, z0], [x1, 0, z0], [x1, 0, z1], [x0, 0, z1]])
 
@@ -70,8 +67,6 @@ class PassBehind(Pass):
         resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def draw_sheet(self, drawing: Drawing, sheet: Sheet) -> None:
-        """Its draw on a sheet of the ground."""
-
         def draw(flipped: bool) -> None:
             sheet.apply(drawing.resources[self.program], drawing.inputs.camera, flipped=flipped)
             self.render(drawing.resources)

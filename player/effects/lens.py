@@ -68,7 +68,6 @@ class LensPass(Pass):
 
 
 def lens_passes(draft: Draft, name: str, still: str) -> Sequence[Pass]:
-    """The row of a lens effect in a plan."""
     if not draft.canvas.own_image:
         return (Absent(name, "for films: a window draws each moment once"),)
     return (LensPass(name, (), still),)

@@ -98,8 +98,6 @@ class Light:
 
 @dataclass(frozen=True)
 class AvatarLight:
-    """One avatar's light in a plan."""
-
     light: CaptureLight
     vertices: Handle[moderngl.Buffer]
     explanation: str
@@ -113,7 +111,6 @@ class AvatarLight:
 
     @property
     def buffer(self) -> Attributes:
-        """What a vertex array gains."""
         return (self.vertices, *ATTRIBUTES)
 
     def apply(self, program: moderngl.Program, camera: Camera) -> None:

@@ -45,7 +45,6 @@ class Way:
             self._curve = [share * (ratio * b - a) for a, b in zip(older._way, self._way, strict=True)]
 
     def at(self, share: float) -> DrivenPose:
-        """The driver at a share of the way."""
         found = [a + share * way for a, way in zip(self.before[2:], self._way, strict=True)]
         if self._curve is not None:
             bend = share * (share - 1)

@@ -152,7 +152,6 @@ def spread(points: Float[Array, "n 3"], loose: Float[Array, "n"], spacing: float
 
 
 def _nearest(points: Array, places: Array, count: int) -> tuple[Int[Array, "n count"], Float[Array, "n count"]]:
-    """The particles nearest to each point, nearest first."""
     found, away = [], []
     for start in range(0, len(points), CHUNK):
         distance = np.linalg.norm(points[start : start + CHUNK, None] - places, axis=2)

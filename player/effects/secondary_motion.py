@@ -97,7 +97,6 @@ class LooseOffsets:
 
     @property
     def buffer(self) -> Attributes:
-        """What a vertex array gains."""
         return (self.vertices, *ATTRIBUTES)
 
     def shows(self, drawing: Drawing) -> bool:

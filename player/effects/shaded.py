@@ -22,8 +22,6 @@ VIEW_DRAWS_IT = Decision(PassState.SKIPPED, "the view pass draws this avatar")
 
 
 class Variant(NamedTuple):
-    """A program with the vertices it reads."""
-
     array: Handle[moderngl.VertexArray]
     program: Handle[moderngl.Program]
     light: AvatarLight | None

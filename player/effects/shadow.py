@@ -82,8 +82,6 @@ def thrown_level(draft: Draft, avatar: int) -> int:
 
 
 class ShadowLamp(NamedTuple):
-    """The lamp as the shadow needs it, and what it shines on."""
-
     # metres along x and z by which the shadow of a point a metre above the ground falls beside it
     slant: tuple[float, float]
     edge: float  # metres that the edge of what is a metre above the ground is wide
@@ -116,8 +114,6 @@ class Footprint(NamedTuple):
 
 
 class MaskState:
-    """What the mask's texture holds."""
-
     def __init__(self):
         self.key: tuple[object, ...] | None = None
 

@@ -24,8 +24,6 @@ AHEAD = 2
 
 
 class DrawnPart(NamedTuple):
-    """A part drawn by a worker."""
-
     # one video without a name, or PNG frames by name
     files: list[tuple[str, bytes]]
     renderer: str  # GL_RENDERER
@@ -78,7 +76,6 @@ def draw_parts_on_cluster(
 
 
 def store_part(path: Path, files: Sequence[tuple[str, bytes]]) -> None:
-    """Write the files of a part to its place."""
     if film_kind(path) in VIDEO:
         with whole_file(path) as file:
             file.write(files[0][1])

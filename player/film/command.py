@@ -66,10 +66,9 @@ class RenderCommand:
     rate: Annotated[float | None, FILM.rare, AtLeast(FILM_RATES[0]), AtMost(FILM_RATES[1]), Option(metavar="HZ"),
         "frames a second of the film (default: the motion's, halved, cut to a third ... where that is above 60)"] = None
     effects: arguments.EffectsOption = field(default_factory=dict)
-    quality: Annotated[str, TIME, Option(metavar="draft|good|best|0..1", parse=arguments.parse_quality),
+    quality: Annotated[str, TIME, OneOf(QUALITIES),
         "draft: level 2, paper colours, jagged edges, small file; best: the avatar's own view model per pixel, MSAA, "
-        "large file; a number: view mode and mesh from the fastest (0) to the most exact (1), by what they cost on "
-        "this machine; single options go before it"] = "good"
+        "large file; single options go before it"] = "good"
     budget: Annotated[float | None, TIME, Option(metavar="8ms", parse=parse_budget),
         "view mode and mesh are the most exact whose frames take no longer (p95), as measured on this machine once and "
         "kept; or 120fps"] = None
@@ -86,24 +85,12 @@ class RenderCommand:
     explain: Annotated[bool, TIME, "print which passes ran, why, and what each costs"] = False
     json: Annotated[str | None, TIME.rare, Option(metavar="FILE"), "write what --explain prints to a file"] = None
 
-    @property
-    def share(self) -> float | None:
-        """A quality that is a number."""
-        return None if self.quality in QUALITIES else float(self.quality)
-
-    @property
-    def measured(self) -> bool:
-        """Whether view mode and level are chosen by what they cost on this machine."""
-        return self.budget is not None or self.share is not None
-
     def __post_init__(self):
-        arguments.parse_quality(self.quality)
         picture = film_kind(self.output) == ".png"
         own = self.motion or self.body or self.speech or (self.hands, self.ground, self.life) != ("file", "auto", None)
         refusals = {
             "give --budget or --quality": self.budget is not None and self.quality != "good",
-            "--budget and --quality 0..1 ask this machine: for several, give --view and --level":
-                self.measured and self.workers,
+            "--budget asks this machine: for several, give --view and --level": self.budget and self.workers,
             "--json writes what --explain finds: give both": self.json and not self.explain,
             "a .png holds one frame: give --frame N, or another OUT": picture and self.frames,
             "--rate is of a film; a .png holds one frame": picture and self.rate,

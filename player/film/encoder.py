@@ -35,8 +35,6 @@ BT709 = {
 
 @dataclass(frozen=True)
 class Encoder:
-    """An encoder of FFmpeg, what it is fed and its options."""
-
     name: str
     pixel_format: str
     options: tuple[tuple[str, str], ...] = ()
@@ -44,7 +42,6 @@ class Encoder:
     dial: tuple[str, int, int, int] | None = None
 
     def at(self, quality: str) -> dict[str, str]:
-        """Options for a quality."""
         options = dict(self.options)
         if self.dial is not None:
             options[self.dial[0]] = str(self.dial[1 + QUALITIES.index(quality)])

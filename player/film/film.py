@@ -174,7 +174,6 @@ class Film:
                 each.result()
 
     def _picture(self, image: Frame) -> Image.Image:
-        """A copy as Pillow takes it."""
         height, width = image.shape[:2]
         if self.transparent:
             return Image.frombytes("RGBA", (width, height), straight(image).tobytes())

@@ -54,7 +54,6 @@ class Parts:
         return self.folder / name, part[1] - part[0]
 
     def missing(self) -> list[tuple[int, int]]:
-        """Parts that are not there yet."""
         return [part for part in self.ranges if not self.piece(part)[0].exists()]
 
     def begin(self, *, resume: bool) -> None:

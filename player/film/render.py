@@ -50,7 +50,7 @@ def render(command: RenderCommand) -> None:
     # while files are read and unpacked, the driver wakes up; both are work outside of Python
     with ThreadPoolExecutor(1) as pool:
         # what a budget buys may be any of them
-        reading = pool.submit(Stage, scene, None if command.measured else level_of(command) + 1)
+        reading = pool.submit(Stage, scene, None if command.budget else level_of(command) + 1)
         context = None if command.workers else open_context(command.context, command.gpu)
         try:
             try:
@@ -80,12 +80,12 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
     else:
         start, stop = at_rate(command, stage, start, stop)
     rung, fit = replace(FULL, level=level_of(command)), stage.fit(start, stop)
-    if command.measured:
+    if command.budget:
         assert context is not None, "workers are refused with a budget"
         rung = buy_rung(command, stage, context, fit, start, stop)
     shot = Shot(
         stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, rung,
-        "good" if command.share is not None else command.quality, command.context, command.gpu,
+        command.quality, command.context, command.gpu,
     )  # fmt: skip
     shared = bool(command.resume or command.workers)
     if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
@@ -97,19 +97,19 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
 def buy_rung(command: RenderCommand, stage: Stage, context: Context, fit: Fit | None, start: int, stop: int) -> Rung:
     """The rung, chosen by what they cost on this machine; its view mode is put into the scene. A film keeps it from its
     first frame to its last."""
-    size, scene = stage.size(), stage.scene
+    size, scene, budget = stage.size(), stage.scene, command.budget
+    assert budget is not None
     camera_at = stage.camera_at(fit, start, stop, size)
     timed = np.unique(np.linspace(start, stop - 1, BUDGET_FRAMES).round().astype(int)).tolist()
     frames = [(poses := stage.poses(frame), camera_at(frame, poses[0][1])) for frame in timed]
     drawn = BudgetScene(stage.avatars, frames, size, scene.effects, scene.background, reads_back=True)
     try:
         priced, chosen = rung_within(
-            context, drawn, [entry.path for entry in scene.avatars], level=command.level, budget=command.budget,
-            quality=1.0 if command.share is None else command.share,
-        )  # fmt: skip
+            context, drawn, [entry.path for entry in scene.avatars], budget=budget, level=command.level
+        )
     except ValueError as error:
         raise AssetError(str(error)) from None
-    stage.notes.append(choice_words(chosen, priced, command.budget))
+    stage.notes.append(choice_words(chosen, priced, budget))
     stage.scene = replace(scene, effects=replace(scene.effects, view=chosen.rung.view))
     return chosen.rung
 
@@ -137,7 +137,6 @@ def at_rate(command: RenderCommand, stage: Stage, start: int, stop: int) -> tupl
 
 
 def level_of(command: RenderCommand) -> int:
-    """The level of detail that the command asks for."""
     if command.level is not None:
         return command.level
     return DRAFT_LEVEL if command.quality == "draft" else 0
@@ -173,7 +172,6 @@ def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Ef
 
 
 def film_at_once(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
-    """Draw straight into the file."""
     path, began = Path(command.output), time.perf_counter()
     with ShotRenderer(shot, stage, context) as drawn:
         film = drawn.film(path, progress(range(shot.start, shot.stop), "frames", shot.stop - shot.start))

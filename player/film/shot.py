@@ -51,7 +51,6 @@ class Shot:
         return self.scene.background.transparent
 
     def files(self) -> list[str]:
-        """Every file that is read for it."""
         names: list[str] = []
         with_files(replace(self.scene, cameras=self.scene.cameras[:1]), lambda name: names.append(name) or name)
         return sorted({name for name in names if Path(name).exists()})
@@ -164,6 +163,5 @@ class ShotRenderer:
         self.release()
 
     def release(self) -> None:
-        """Free everything, the context too."""
         self.renderer.release()
         self.context.release()

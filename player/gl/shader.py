@@ -119,7 +119,6 @@ def compile_program(
 
 
 def uniform(program: moderngl.Program, name: str) -> moderngl.Uniform:
-    """A uniform that the program is known to have."""
     found = program[name]
     assert isinstance(found, moderngl.Uniform), f"{name} is a {type(found).__name__}"
     return found

@@ -57,8 +57,6 @@ def _address(text: str, kinds: tuple[str, ...]) -> Address:
 
 @dataclass(frozen=True)
 class LiveCommand:
-    """The live poses of `selfscan play`."""
-
     live: Annotated[Address | None, LIVE, Option(metavar="vmc:PORT|udp:PORT|ws:PORT|...", parse=source),
         "pose by what arrives: VMC (usual port 39539), our JSON over UDP or WebSocket, or a face alone: ifacialmocap, "
         "livelinkface, openseeface; this machine only, unless HOST:PORT names another interface (0.0.0.0: all)"] = None
@@ -74,8 +72,6 @@ class LiveCommand:
 
 @dataclass(frozen=True)
 class StreamCommand:
-    """`selfscan stream`."""
-
     motion: Annotated[str, Option(positional=True, metavar="MOTION"), "pose file (.npz, .bvh), or: counting, walking"]
     to: Annotated[Address, Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
         "VMC or our JSON; HOST may be left out: this machine"]

@@ -47,8 +47,6 @@ DECODERS: dict[str, Callable[[], Decoder]] = {
 
 
 class SourceStatus(NamedTuple):
-    """State of the source, for the status line."""
-
     frames: int
     rate: float  # frames a second, of late
     # seconds since the last frame; None: no frame yet

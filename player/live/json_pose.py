@@ -70,7 +70,6 @@ def parse_pose(data: bytes | str) -> JsonPose:
 
 
 def _face(found: dict) -> FaceFrame | None:
-    """The face of a message, where it has one."""
     named = found.get("face")
     if named is None:
         return None

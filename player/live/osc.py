@@ -130,7 +130,6 @@ def build_message(address: str, *arguments: str | float | int | bool) -> bytes:
 
 
 def build_bundle(elements: Sequence[bytes]) -> bytes:
-    """A bundle of messages or bundles."""
     return b"#bundle\0" + IMMEDIATELY + b"".join(struct.pack(">i", len(element)) + element for element in elements)
 
 

@@ -3,8 +3,6 @@
 import errno
 import logging
 import socket
-import struct
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -15,9 +13,6 @@ from command.errors import AssetError, missing_package
 from player.live.inbox import Inbox
 from player.scene.address import Address
 
-# Linux: the kernel's time of arrival comes with the datagram
-SO_TIMESTAMPNS = 35
-STAMP = struct.Struct("@qq")
 LARGEST_MESSAGE = 65536  # bytes; a WebSocket that sends more is closed
 MOST_CLIENTS = 8
 # connections at once, those whose handshake is not done included
@@ -47,11 +42,6 @@ class UdpListener:
             self.socket.close()
             raise AssetError(f"{address}: {_reason(error)}") from None
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        self.stamped = False
-        if sys.platform == "linux":
-            with suppress(OSError):
-                self.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-                self.stamped = True
         self.socket.settimeout(0.1)
         self.address = address._replace(port=self.socket.getsockname()[1])
         self.thread = threading.Thread(target=self._listen, name="live poses", daemon=True)
@@ -60,37 +50,19 @@ class UdpListener:
     def _listen(self) -> None:
         while not self.closing:
             try:
-                if self.stamped:
-                    data, ancillary, _, _ = self.socket.recvmsg(65536, 64)
-                    received = arrival(ancillary)
-                else:
-                    data = self.socket.recv(65536)
-                    received = time.monotonic()
+                data = self.socket.recv(65536)
             except TimeoutError:
                 continue
             except OSError:
                 if self.closing:
                     return
                 continue  # Windows reports a sender's closed port here
-            self.inbox.feed(data, received)
+            self.inbox.feed(data, time.monotonic())
 
     def close(self) -> None:
         self.closing = True
         self.thread.join()
         self.socket.close()
-
-
-def arrival(ancillary: list) -> float:
-    """Monotonic seconds of a datagram's arrival, from the kernel's stamp where it has a plausible one."""
-    now = time.monotonic()
-    for level, kind, data in ancillary:
-        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(data) == STAMP.size:
-            seconds, nanoseconds = STAMP.unpack(data)
-            waited = time.time() - (seconds + 1e-9 * nanoseconds)
-            # else the wall clock was set meanwhile
-            if 0 <= waited < 1:
-                return now - waited
-    return now
 
 
 def _reason(error: OSError) -> str:

@@ -119,7 +119,6 @@ class Take:
         return [*lines, f"{self.path}: {plural(motion.frames, 'frame')} at {motion.rate:g} a second"]
 
     def close(self) -> None:
-        """Give the recording up, as it is."""
         os.close(self.file)
 
     def _note_height(self) -> None:

@@ -76,7 +76,6 @@ class History:
         self._drag = None
 
     def mark_saved(self) -> None:
-        """The present pose is in a file."""
         self.end_drag()
         self.saved = self.pose
 

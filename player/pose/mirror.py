@@ -69,5 +69,4 @@ def limb_of(joint: int) -> tuple[int, ...]:
 
 
 def hand_joints(side: Side) -> tuple[int, ...]:
-    """The fingers' joints of one hand."""
     return tuple(range(52)[HANDS[side]])

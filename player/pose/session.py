@@ -182,7 +182,6 @@ class PoseSession:
         self.history.end_drag()
 
     def to_other_side(self, joints: Sequence[int]) -> None:
-        """The other side does what these joints do."""
         self.put("mirror", onto_other_side(self.pose.axis_angle, joints), hold=False)
 
     def reset(self, joints: Sequence[int]) -> None:

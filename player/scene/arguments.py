@@ -60,17 +60,6 @@ def parse_background(text: str) -> Background:
     return Background("transparent") if color[3] == 0 else Background("color", color)
 
 
-def parse_quality(text: str) -> str:
-    """One of the words, or a number from 0 to 1, as text."""
-    try:
-        good = text in QUALITIES or 0 <= float(text) <= 1
-    except ValueError:
-        good = False
-    if not good:
-        raise refused(f"{', '.join(QUALITIES)} or a number from 0 to 1", repr(text))
-    return text
-
-
 def parse_gpu(text: str) -> int | str:
     """A number as CUDA counts, or a DRM node."""
     if text.startswith("/"):

@@ -25,7 +25,6 @@ class Orbit:
         self.look(self.home)
 
     def look(self, view: View) -> None:
-        """Take a view."""
         target, self.distance, self.azimuth, self.elevation = view
         self.target = target.copy()
 
@@ -82,7 +81,6 @@ class Cameras:
         return [*(kind for kind in KINDS if there.get(kind, True)), *self.named]
 
     def next(self) -> None:
-        """Look through another camera."""
         kinds = self.kinds
         self.kind = kinds[(kinds.index(self.kind) + 1) % len(kinds)]
 

@@ -50,7 +50,7 @@ class Effects:
     ground: Annotated[Ground | None, "a floor to stand on, and the shadow on it"] = None
     contact: Annotated[Contact | None, "dark where feet touch the ground and limbs come near the body"] = None
     foot_lock: Annotated[FootLock | None, "feet of motions that slide are held where they stand"] = None
-    grid: Annotated[Grid | None, "lines on the ground, every metre, and the world's axes"] = None
+    grid: Annotated[Grid | None, "lines on the ground, every metre"] = None
     outline: Annotated[Outline | None, "a line round each avatar, and where its limbs pass before it"] = None
     motion_blur: Annotated[MotionBlur | None, "what moves is blurred, in films"] = None
     depth_of_field: Annotated[DepthOfField | None, "what is nearer or farther than the focus is blurred, in films"] = (

@@ -80,7 +80,6 @@ def fitted(
 def fitted_camera(
     points: Float[Array, "points 3"], azimuth: float, size: tuple[int, int], *, elevation: float = ELEVATION
 ) -> Camera:
-    """The camera of `fitted`."""
     view = fitted(points, azimuth, size, elevation=elevation)
     return orbit_camera(view.target, view.distance, azimuth, elevation, size, FOV)
 
@@ -108,8 +107,6 @@ def fitted_round(points: Float[Array, "points 3"], size: tuple[int, int], *, fov
 
 
 class View(NamedTuple):
-    """A camera round a point."""
-
     target: Float[Array, "3"]
     distance: float  # metres
     azimuth: float  # radians, 0 along +z of the world, growing towards +x

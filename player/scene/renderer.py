@@ -28,8 +28,6 @@ BULGE = 1.5
 
 
 class PassOutcome(NamedTuple):
-    """What became of a pass in the last frame."""
-
     item: Pass
     decision: Decision
 
@@ -137,7 +135,6 @@ class Renderer:
 
     @property
     def moves(self) -> bool:
-        """Whether anything loose is to be moved."""
         return bool(self.plan.moved)
 
     def draw(
@@ -224,7 +221,6 @@ class Renderer:
         return out
 
     def release(self) -> None:
-        """Free everything this renderer made."""
         self.context.make_current()
         self.resources.release()
         close_all(self.plan.kept.values())

@@ -83,7 +83,6 @@ def packed_player(avatar: Avatar, clip: Clip) -> Packed:
 
 
 def avatar_page(avatar: Avatar, clip: Clip, title: str) -> tuple[str, dict[str, int]]:
-    """The page, and the bytes of what is in it."""
     player = packed_player(avatar, clip)
     text = page_of("player.web", ["viewer.js"], title, player.blobs, player.facts)
     return text, {name: len(blob) for name, blob in player.blobs.items()}

@@ -11,12 +11,10 @@ WIDTH = 112
 
 
 def rows(group: KeyGroup) -> list[tuple[str, str]]:
-    """Keys and what they do."""
     return [(", ".join(action.shown_keys), action.means) for action in group.actions]
 
 
 def mouse_rows(groups: Sequence[KeyGroup]) -> list[tuple[str, str]]:
-    """Gestures and what they do."""
     return [*MOUSE, *(MOUSE_ON_VIDEO if VIDEO in groups else ())]
 
 

@@ -67,7 +67,6 @@ class Appearance:
         return True
 
     def toggle_view(self) -> None:
-        """View dependence on or off."""
         self.renderer.view_amount = 1.0 - self.renderer.view_amount
 
     @property

@@ -38,8 +38,6 @@ KINDS |= dict.fromkeys(PICTURES, "picture") | dict.fromkeys(FILMS, "film")
 
 
 class Opening:
-    """What was opened, what is to be, and the list to choose from."""
-
     def __init__(self, show: Show):
         self.show, self.scene = show, show.scene
         # files to be opened before the next frame
@@ -51,7 +49,6 @@ class Opening:
         self.files: list[tuple[Path, str]] = []
 
     def toggle(self) -> None:
-        """Show the list or hide it."""
         self.listed = not self.listed
         if self.listed:
             self.go(self.folder)

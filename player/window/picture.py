@@ -54,7 +54,6 @@ class PictureLayer:
         self._render(box, size, (0.0, 0.0, 0.0, 0.0), under, part)
 
     def fill(self, color: tuple[float, float, float], box: Box, size: tuple[int, int], *, under: bool = False) -> None:
-        """Draw a box of one colour."""
         uniform(self.program, "lens").value = (1.0, 1.0, 0.0, 0.0)
         self._render(box, size, (*color, 1.0), under, None)
 

@@ -37,7 +37,6 @@ class Playback:
         self.timeline.playing, self.timeline.speed = line.playing, line.speed
 
     def advance(self, dt: float | int) -> None:
-        """Let time pass."""
         self.timeline.advance(dt)
         self.lived += max(dt, 0.0) if self.timeline.playing else 0.0
         for live, _ in self.live:

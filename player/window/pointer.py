@@ -93,7 +93,6 @@ class Pointer:
             self._holds = "wipe"
 
     def release(self, button: int) -> None:
-        """A button was let go, wherever."""
         if self._pressed is None or self._pressed[0] != button:
             return
         if self._holds == "tool" and self._tool is not None:

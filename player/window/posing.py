@@ -77,7 +77,6 @@ class PoseEdit:
         self._walk("redone", self.session.redo)
 
     def _walk(self, word: str, step: Callable[[], str | None]) -> None:
-        """A step back or forth."""
         self.tool.cancel()
         label = step()
         self.state.messages.say(f"{word}: {label.replace('_', ' ')}" if label else f"nothing to be {word}")

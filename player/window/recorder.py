@@ -84,7 +84,6 @@ class Recorder:
         return None if self.film is None else self.film.step
 
     def shoot(self, *, on: bool = True) -> None:
-        """A screenshot of the next frame."""
         self._shoot = on
 
     def toggle_film(self) -> None:
@@ -112,7 +111,6 @@ class Recorder:
             say(f"{name} written")
 
     def close(self) -> None:
-        """Write the film that runs."""
         if self.film is not None:
             self.toggle_film()
 

@@ -39,7 +39,6 @@ class AvatarSelection:
 
     @property
     def name(self) -> str:
-        """What is selected, in words."""
         name = self.names[self.avatar]
         return name if self.joint is None else f"{name}: {joint_name(self.joint)}"
 

@@ -44,7 +44,6 @@ class Timeline:
         self.seek(self.frame + frames)
 
     def toggle(self) -> None:
-        """Play or pause."""
         self.playing = not self.playing
 
     def faster(self, notches: int) -> None:

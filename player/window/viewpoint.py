@@ -32,7 +32,6 @@ class Viewpoint:
         self.begin()
 
     def begin(self) -> None:
-        """The first avatar is where it begins."""
         self._start = self.state.playback.poses()[0][1]
 
     @property
@@ -52,7 +51,6 @@ class Viewpoint:
         return (self.state.last.poses[0][1] - self._start) * FLAT if self.follow else None
 
     def _joints(self, index: int) -> Float[np.ndarray, "52 4 4"]:
-        """Where the joints of an avatar are now."""
         axis_angle, root, _ = self.state.last.poses[index]
         return joint_transforms(axis_angle, self.state.avatars[index].joint_positions.astype(np.float64), root)
 
@@ -73,7 +71,6 @@ class Viewpoint:
         self.cameras.kind, self._part = "orbit", (index, middle, joints[middle, :3, 3])
 
     def reset(self) -> None:
-        """The orbit as it was in the beginning: all of everyone."""
         self._part = None
         self.cameras.orbit.reset()
 

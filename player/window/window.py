@@ -71,7 +71,6 @@ class Window:
         self._connect()
 
     def _begin(self, parts: WindowParts, *, panels: bool) -> None:
-        """Show something, all of it new."""
         self.parts = parts
         self.renewal = Renewal(parts.opening) if parts.opening.show.followed else None
         self.keyboard, self.pointer = Keyboard(parts), Pointer(parts)
@@ -117,7 +116,6 @@ class Window:
     # -- events; a script calls the same
 
     def on_key(self, key: int, down: bool) -> None:
-        """A key went down (or repeats), or up."""
         self._stir()
         if not down:
             self.keyboard.release(key)
@@ -152,7 +150,6 @@ class Window:
             self.pointer.press(button)
 
     def on_drop(self, paths: Sequence[str]) -> None:
-        """Files were dropped on the window."""
         self._stir()
         for path in paths:
             self.parts.opening.ask(path)

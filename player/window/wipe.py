@@ -43,7 +43,6 @@ class Wipe:
         return abs(x - self.line(layout.area)) < REACH * layout.screen.scale
 
     def move_to(self, x: float | int, area: tuple[int, int, int, int]) -> None:
-        """Put the line at pixel x."""
         left, _, width, _ = self.box(area)
         self.move((x - left) / width)
 

@@ -80,7 +80,6 @@ def body_atlas(
 
 
 def chart(body: Body) -> tuple[Int[Array, "faces"], Float[Array, "faces 3 2"]]:
-    """The atlas of a shape of the free body."""
     assert body.uv is not None and body.uv_faces is not None
     island = component_labels(body.uv_faces, len(body.uv))[body.uv_faces[:, 0]]
     return body_atlas(body.uv[body.uv_faces], island, dense_weights(body.skin)[body.faces[:, 0], 15] > 0.9)

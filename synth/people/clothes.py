@@ -53,7 +53,6 @@ class Figure:
     step: csr_matrix
 
     def smoothed(self, values: Float[Array, "points n"], steps: int) -> Float[Array, "points n"]:
-        """So many half steps."""
         for _ in range(steps):
             values = self.step @ values
         return values
@@ -65,7 +64,8 @@ def dressing_figure(body: Body) -> Figure:
     clad = (dense[:, 15] < 0.6) & (np.abs(x) < np.abs(body.joints[20:22, 0]).mean() + 0.03)
     clad &= y > body.joints[7, 1] - 0.03
     mesh, kept = compact(body.vertices, body.faces[clad[body.faces].all(1)])
-    faces, (points, weights) = in_four(mesh.faces, mesh.vertices, dense[kept])
+    faces, edges = in_four(mesh.faces, len(mesh.vertices))
+    points, weights = (np.r_[values, values[edges].mean(1)] for values in (mesh.vertices, dense[kept]))
     figure = Figure(body.joints, points, faces, weights, points, half_step(faces, len(points)))
     calm = figure.smoothed(points, 3)
     return replace(figure, points=calm, normals=vertex_normals(figure.smoothed(calm, 25), faces))

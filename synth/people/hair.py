@@ -60,12 +60,12 @@ def hair_pieces(body: Body, looks: Looks, clothes: list[PersonPiece]) -> list[Pe
 
 
 def _cap(body: Body, looks: Looks, picture: Picture) -> PersonPiece:
-    """The hair on the scalp."""
     number, uv = chart(body)
     rows, inside = np.flatnonzero(number == HEAD), np.full(len(body.vertices), -1.0)
     inside[body.faces[rows]] = inside_line(HAIRLINE, uv[rows])
     mesh, kept = compact(body.vertices, body.faces[rows[(inside[body.faces[rows]] > -0.05).all(1)]])
-    faces, (points, grown) = in_four(mesh.faces, mesh.vertices, inside[kept, None])
+    faces, edges = in_four(mesh.faces, len(mesh.vertices))
+    points, grown = (np.r_[values, values[edges].mean(1)] for values in (mesh.vertices, inside[kept, None]))
     rng = np.random.default_rng([looks.seed, 51])
     ragged = grown + 0.0018 * waves(points, (220.0, 60.0, 160.0), rng)[:, None]
     faces, (points, normals, ragged) = trimmed(ragged[:, 0], faces, [points, vertex_normals(points, faces), ragged])
@@ -83,8 +83,6 @@ def _cap(body: Body, looks: Looks, picture: Picture) -> PersonPiece:
 
 
 class _Solid:
-    """The surface that hair falls on."""
-
     def __init__(self, body: Body, clothes: list[PersonPiece]):
         # ears and face do not hold hair up
         below = compact(body.vertices, body.faces[(body.skin.heaviest[body.faces] != SKULL).all(1)])[0]

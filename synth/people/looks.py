@@ -34,8 +34,6 @@ class Fabric:
 
 @dataclass(frozen=True)
 class Looks:
-    """One person."""
-
     seed: int
     sex: str
     stature: float  # barefoot

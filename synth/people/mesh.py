@@ -37,14 +37,12 @@ def half_step(faces: Int[Array, "faces 3"], count: int) -> csr_matrix:
     return csr_matrix(0.5 * (diags(1 / degree) @ near + diags(np.ones(count))))
 
 
-def in_four(
-    faces: Int[Array, "faces 3"], *values: Float[Array, "points _"]
-) -> tuple[Int[Array, "more 3"], list[Float[Array, "all _"]]]:
-    """Every face in four, and the values at the points and, their means, at the middles of edges."""
+def in_four(faces: Int[Array, "faces 3"], count: int) -> tuple[Int[Array, "more 3"], Int[Array, "edges 2"]]:
+    """Every face in four, and the edges whose middles are new points behind the `count` that there were."""
     edges, index = np.unique(np.sort(half_edges(faces), 1), axis=0, return_inverse=True)
-    (a, b, c), (ab, bc, ca) = faces.T, len(values[0]) + index.reshape(3, -1)
+    (a, b, c), (ab, bc, ca) = faces.T, count + index.reshape(3, -1)
     corners = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-    return np.concatenate([np.stack(corner, 1) for corner in corners]), [np.r_[v, v[edges].mean(1)] for v in values]
+    return np.concatenate([np.stack(corner, 1) for corner in corners]), edges
 
 
 def rim_edges(faces: Int[Array, "faces 3"], count: int) -> tuple[Bool[Array, "3*faces"], Int[Array, "rim 2"]]:

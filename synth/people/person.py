@@ -20,7 +20,6 @@ LICENCE = "CC0-1.0 (body: MakeHuman base mesh; clothes, hair and colors: this pr
 
 
 def person(seed: int) -> SynthSubject:
-    """The dressed person of a seed."""
     return subject_of(*made(draw(seed)), f"builtin:{seed}")
 
 

@@ -23,7 +23,6 @@ def shoe_height(looks: Looks) -> float:
 
 
 def in_shoes(body: Body, looks: Looks) -> Bool[Array, "vertices"]:
-    """Vertices of the feet that shoes hide."""
     return body.vertices[:, 1] < body.vertices[:, 1].min() + shoe_height(looks) - 0.012
 
 

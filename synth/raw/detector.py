@@ -43,8 +43,6 @@ FEWEST = 4
 
 @dataclass(frozen=True)
 class Mistakes:
-    """How wrong a detector is."""
-
     noise: float  # pixels of 1080
     bias: float  # metres
     # outliers, exchanged sides and confidences that vary
@@ -62,8 +60,6 @@ class _Point:
 
 
 class Detector:
-    """OpenPose on one video."""
-
     def __init__(
         self, subject: SynthSubject, rasteriser: Rasteriser, camera: Camera, mistakes: Mistakes, seed: list[int]
     ):

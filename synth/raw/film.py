@@ -33,7 +33,6 @@ MASK_STEP = 10
 
 
 def mistakes_of(config: RawConfig) -> Mistakes:
-    """How wrong the detector is."""
     return Mistakes(config.keypoint_noise, config.keypoint_bias / 100)
 
 
@@ -139,7 +138,6 @@ class _Lighting:
 
 
 def write_truth(folder: Path, plan: dict[str, RawShots], facts: dict) -> None:
-    """truth/raw.json: what was filmed, and how."""
     content = {"format": "selfscan-raw-truth", "rate": RATE, "mask_step": MASK_STEP, **facts}
     content["frames"] = {part: len(shots.root) for part, shots in plan.items()}
     (folder / "truth" / "raw.json").write_text(json.dumps(content, indent=1))

@@ -14,6 +14,7 @@ from avatar.camera import Camera, look_at
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND, joint_transforms
 from synth.film import frame_points, hand_before_camera, hand_poses, head_nod, head_points, relaxed_fingers, rotation
+from synth.people.mesh import smoothstep
 from synth.photo import Studio
 from synth.subject import SynthSubject
 
@@ -36,8 +37,6 @@ STEP = np.array([0.012, 0.003, 0.012])
 
 @dataclass(frozen=True)
 class RawShots:
-    """One raw video before it is taken."""
-
     part: str
     axis_angle: Float[Array, "frames 52 3"]
     root: Float[Array, "frames 3"]
@@ -100,7 +99,6 @@ def _body_camera(studio: Studio, size: tuple[int, int]) -> Camera:
 def _steady_poses(
     joints: Float[Array, "52 3"], part: str, turning: Float[Array, "frames"], inside: Float[Array, "frames"]
 ) -> Float[Array, "frames 52 3"]:
-    """The poses of one video as they are meant."""
     if part.startswith("hand"):
         return hand_poses(joints, part.removeprefix("hand_"), 720 * turning)
     poses = np.tile(0.6 * relaxed_fingers(), (len(turning), 1, 1))
@@ -111,8 +109,8 @@ def _steady_poses(
 
     if part == "body":
         # steps in with hanging arms, raises them, turns once
-        heading = -60 * (1 - _smooth(inside)) + 360 * turning
-        put("shoulder", 2, -(72 * (1 - _smooth(2 * inside - 1)) + 4), -1)
+        heading = -60 * (1 - smoothstep(0.0, 1.0, inside)) + 360 * turning
+        put("shoulder", 2, -(72 * (1 - smoothstep(0.0, 1.0, 2 * inside - 1)) + 4), -1)
         put("elbow", 1, -7, -1)
         put("hip", 2, 4, -1)
         # small steps: either knee lifts twice in a turn
@@ -145,7 +143,7 @@ def _place(
     joints = subject.joints.astype(np.float64)
     origin = np.zeros((len(poses), 3))
     if part == "body":
-        origin[:, 0] = -3.6 * (1 - _smooth(2 * inside))
+        origin[:, 0] = -3.6 * (1 - smoothstep(0.0, 1.0, 2 * inside))
         return origin
     if part == "head":
         points = head_points(subject)
@@ -154,7 +152,7 @@ def _place(
         origin = -(np.einsum("fij,j->fi", G[:, :3, :3], middle) + G[:, :3, 3])
     else:
         origin = hand_before_camera(poses, joints, part.removeprefix("hand_"), 720 * turning)
-    origin[:, 0] += (-1.6 if part != "hand_right" else 1.6) * (1 - _smooth(inside))
+    origin[:, 0] += (-1.6 if part != "hand_right" else 1.6) * (1 - smoothstep(0.0, 1.0, inside))
     return origin
 
 
@@ -171,8 +169,3 @@ def _swayed(steady: Float[Array, "frames 52 3"], wander: Wander, sway: float) ->
     degrees = habit * wander.rng.standard_normal((len(JOINTS), 3)) + moving * wander.draw(len(JOINTS), 3)
     noise = matrix_from_axis_angle(np.radians(sway * degrees))
     return axis_angle_from_matrix(matrix_from_axis_angle(steady) @ noise)
-
-
-def _smooth(x: Float[Array, "n"]) -> Float[Array, "n"]:
-    x = np.clip(x, 0, 1)
-    return x * x * (3 - 2 * x)

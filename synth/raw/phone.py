@@ -23,7 +23,6 @@ class Phone:
     seed: int
 
     def shoot(self, frame: int, light: Float[Array, "height width 3"]) -> UInt8[Array, "height width 3"]:
-        """The picture of frame `frame`, clipped."""
         shown = np.clip(light * self.gain[frame].astype(np.float32), 0, 255)
         if self.noise:
             rng = np.random.default_rng([self.seed, frame, 51])

@@ -80,17 +80,6 @@ def test_vertices_that_move_apart_are_not_welded_and_parts_follow_the_heaviest_j
     assert mesh_facts.share_of_area(level, part_of(level.skin) == 1) == pytest.approx(0.5)
 
 
-def test_texels_and_edges_are_measured_in_millimetres_and_medians_count_square_metres():
-    level = cube()  # 20 by 20 texels on a side of 100 mm
-    np.testing.assert_allclose(mesh_facts.texel_millimetres(level), 5.0, rtol=1e-5)
-    np.testing.assert_allclose(mesh_facts.edge_millimetres(level), 100 * (2 + np.sqrt(2)) / 3, rtol=1e-5)
-    flat = dataclasses.replace(level, uv=np.zeros_like(level.uv))
-    assert np.isnan(mesh_facts.texel_millimetres(flat)).all()
-    values, weight = np.array([1.0, 2.0, 3.0, np.nan]), np.array([1.0, 1.0, 5.0, 90.0])
-    assert mesh_facts.median_by_area(values, weight) == 3.0
-    assert mesh_facts.median_by_area(values, np.array([0.0, 0.0, 0.0, 1.0])) is None
-
-
 def test_seam_steps_are_those_of_the_colors_painted():
     rng = np.random.default_rng(0)
     level = cube(rng.integers(0, 256, (20, 120, 3), dtype=np.uint8))
@@ -163,9 +152,8 @@ def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_
     text = (out / "inspect.html").read_text()
     pictures = sorted(p.stem for p in out.iterdir() if p.suffix == ".png")
     assert text.count("<img ") == len(pictures)
-    views, seen = "look_off look_network look_change face level_0 level_1", "cones seen triangles"
-    charts = "parts weights texels atlas seams_mip0"
-    assert {*views.split(), *charts.split(), *seen.split()} <= set(pictures)
+    names = "look_off look_network look_change face cones seen triangles parts weights seams_mip0"
+    assert set(names.split()) <= set(pictures)
     for name in pictures:
         with Image.open(out / f"{name}.png") as image:
             assert np.asarray(image.convert("RGB")).std() > 1  # something is drawn

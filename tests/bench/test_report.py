@@ -37,7 +37,7 @@ def test_bench_writes_json_table_plot_and_pictures(oracle, tmp_path, capsys):
     assert 0 < half["psnr_mask_db"] < half["psnr_db"]
     assert half["psnr_db"] < 35 and half["bytes"] < best["bytes"]
     assert best["against_truth"]["psnr_db"] > half["against_truth"]["psnr_db"]
-    assert {path.name for path in out.iterdir()} >= {"bench.html", "bench.json", "bench.md", "pareto.png", "rungs.png"}
+    assert {path.name for path in out.iterdir()} >= {"bench.html", "bench.json", "bench.md", "pareto.png"}
     assert "half resolution" in capsys.readouterr().out
 
 

@@ -15,15 +15,14 @@ from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS
 from avatar.skinning import SkinWeights
 from bench.field.posed_field import PosableSurface
-from bench.score.landmarks import INNER, face_landmarks_mm
 from bench.score.lpips import CONVOLUTIONS, read_perceptual
 from bench.score.metrics import flip
-from bench.score.outlines import FOV, outline_scores
 from bench.score.picture_scores import PictureJudge, eye_region, score_images
 from bench.score.posed_geometry import geometry_case, posed_pair, skin_beside_hair
 from bench.score.quality import evaluate
 from bench.score.region_scores import without_eyes
 from bench.score.skeleton_distance import BODY, LIMBS, joints_off, posed_skeletons, turned_off
+from bench.score.standing import FOV, INNER, face_landmarks_mm, outline_scores
 from bench.score.true_mesh import TrueMesh
 from capture.fit.points import body_points
 from capture.held_out import HeldOutView

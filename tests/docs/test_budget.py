@@ -8,19 +8,19 @@ ROOT = Path(__file__).parents[2]
 CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 # lines, as many as there are: they only fall, until the installed folders have 60,000 and the tests 34,000
 BUDGET = {
-    "files": 1_517,
-    "command": 1_264,
-    "avatar": 9_203,
-    "geometry": 1_725,
-    "capture": 12_068,
-    "train": 5_422,
-    "bake": 5_834,
-    "player": 20_206,
-    "shaders": 1_005,
-    "synth": 3_840,
-    "bench": 5_496,
+    "files": 1_515,
+    "command": 1_260,
+    "avatar": 9_173,
+    "geometry": 1_724,
+    "capture": 11_986,
+    "train": 5_380,
+    "bake": 5_816,
+    "player": 19_957,
+    "shaders": 970,
+    "synth": 3_791,
+    "bench": 5_246,
     "selfscan": 469,
-    "tests": 36_105,
+    "tests": 36_046,
 }
 
 

@@ -66,8 +66,7 @@ WRONG = {
     "--gpu -1 -o a.png": "--gpu: expected a number from 0 or a DRM node as /dev/dri/renderD128, found '-1'",
     "--workers 2 --explain -o a.mp4": "--explain asks the context that drew: leave --workers out",
     "--workers 0 -o a.mp4": "--workers: expected 1 to 256 processes, or an address, found '0'",
-    "--quality superb -o a.mp4": "--quality: expected draft, good, best or a number from 0 to 1, found 'superb'",
-    "--quality 0.5 --workers 2 -o a.mp4": "--budget and --quality 0..1 ask this machine",
+    "--budget 8ms --workers 2 -o a.mp4": "--budget asks this machine",
     "--budget 8ms --quality draft -o a.mp4": "give --budget or --quality",
     "--budget fast -o a.mp4": "--budget: expected milliseconds or frames a second, as 8ms or 120fps, found 'fast'",
 }

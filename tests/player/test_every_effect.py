@@ -11,7 +11,7 @@ from loose_avatar import dance, danced
 from avatar.camera import Camera, orbit_camera
 from avatar.gltf.avatar_file import write_avatar
 from command.settings import settings_of
-from player.effects import contact, grid, ground_plane, outline, secondary_motion, shaded, shadow
+from player.effects import contact, ground_plane, outline, secondary_motion, shaded, shadow
 from player.effects.background import Background
 from player.effects.contact import Contact
 from player.effects.foot_lock import FootLock
@@ -55,8 +55,7 @@ ADDS = {
     "light": (Light("lamps"), {"buffer": 2}),
     "ground": (Ground(), {"program": 4, "vertex_array": 4, "texture": 2, "framebuffer": 2}),
     "contact": (Contact(1.0), {"program": 3, "vertex_array": 3, "buffer": 4, "texture": 1, "framebuffer": 1}),
-    "grid": (Grid(), {"program": 2, "vertex_array": 2}),
-    "grid alone": (Grid(axes=0.0), {"program": 1, "vertex_array": 1}),
+    "grid": (Grid(), {"program": 1, "vertex_array": 1}),
     "outline": (Outline(), {"program": 1, "buffer": 1, "vertex_array": 1}),
     "secondary_motion": (SecondaryMotion(), {"program": 1, "buffer": 2, "vertex_array": 1}),
     # what these do is done to poses and frames of films: test_ik.py, test_film.py
@@ -75,7 +74,7 @@ UNSEEN = {
     "ground small": Unseen(Ground("shadow"), FAR, dict.fromkeys(SHADOW, shadow.SMALL)),
     "contact hidden": Unseen(Contact(), AWAY, {"contact: avatar on the ground": contact.AWAY}),
     "contact small": Unseen(Contact(), FAR, {"contact: avatar on the ground": contact.SMALL}),
-    "grid hidden": Unseen(Grid(), UP, {"grid": ground_plane.AWAY, "grid: axes": grid.AXES_AWAY}),
+    "grid hidden": Unseen(Grid(), UP, {"grid": ground_plane.AWAY}),
     "outline hidden": Unseen(Outline(), AWAY, {"outline": outline.OUT_OF_VIEW}),
     "view small": Unseen("network", FAR, {"avatar: view network": shaded.TOO_SMALL}),
     "swing hidden": Unseen(SecondaryMotion(), AWAY, {SWINGS: secondary_motion.OUT_OF_VIEW}, EVERYTHING),
@@ -138,8 +137,6 @@ def test_where_it_cannot_show_it_is_the_frame_that_never_asked(context, render, 
 @pytest.mark.parametrize("name", [*ADDS, "view"])
 def test_ten_kilometres_away_it_is_the_same_picture(render, dressed_avatar, name):
     wish = {"view": "vertex"} if name == "view" else {field_of(ADDS[name][0]): ADDS[name][0]}
-    if name == "grid":
-        wish = {"grid": replace(ADDS[name][0], axes=0.0)}  # they stay at the origin
     # whole steps of every size of texels that a shadow has
     shift = np.array([10_080.0, 0.0, -3360.0])
     moved = CAMERA.camera_from_world.copy()

@@ -20,8 +20,6 @@ from train.networks import FeatureGrid, Layers, PartNetworks, SmallColor, Templa
 
 @dataclass(frozen=True, kw_only=True)
 class HashNetworks:
-    """Sizes of the `fast` networks."""
-
     kind: ClassVar[str] = "hash"
     cell: float  # finest level, metres
     levels: Layers = 16
@@ -147,7 +145,6 @@ class HashGrid(FeatureGrid):
         return torch.nn.functional.pad(features, (0, closed * self.table.shape[1]))
 
     def _rows(self, corner: Int[Tensor, "n levels 8 3"], levels: int) -> Int[Tensor, "n levels 8"]:
-        """Row of each corner in the one table."""
         plainly = (corner * self.strides[:levels, None]).sum(-1)
         x, y, z = corner.unbind(-1)
         hashed = (x ^ (y * 2654435761) ^ (z * 805459861)) % self.rows[:levels, None]

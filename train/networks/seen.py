@@ -13,8 +13,6 @@ from train.networks import ColorInputs, Geometry, PartNetworks, frame_codes
 
 @dataclass(frozen=True, kw_only=True)
 class SeenNetworks:
-    """Sizes of the `preview` networks."""
-
     kind: ClassVar[str] = "seen"
     cell: float = 0.01  # metres between colors
 

@@ -14,8 +14,6 @@ from train.networks import FeatureGrid, PartNetworks, SmallColor, TemplateCorrec
 
 @dataclass(frozen=True, kw_only=True)
 class TriPlaneNetworks:
-    """Sizes of the `demo` networks."""
-
     kind: ClassVar[str] = "triplane"
     plane_size: int = 160  # texels of a geometry plane's side
     plane_channels: int = 8

@@ -22,7 +22,6 @@ BEHIND = {"color": ("color",), "image": ("fit", "color"), "video": ("fit", "colo
 
 
 def looks_panel(ui: Widgets, parts: WindowParts) -> None:
-    """A button for each look."""
     look = parts.look
     for number, (name, one) in enumerate(LOOKS.items()):
         effects, background = one.of(look.effects, look.background)
@@ -97,7 +96,6 @@ def reason(parts: WindowParts, name: str) -> str:
 
 
 def _changed(ui: Widgets, effect: Setting, value: Any) -> Any | None:
-    """The settings of an effect with what was changed in its rows."""
     for setting in settings_of(effect.table):
         chosen = _number(ui, setting, setting.value_in(value), label_of(setting), f"{effect.name} {setting.name}")
         if chosen is not None and broken_rule(setting, chosen) is None:

@@ -85,5 +85,4 @@ def _row(ui: Widgets, text: str, kind: str, tip: str, name: str) -> bool:
 
 
 def kind_in_words(path: Path | str) -> str:
-    """What a file is, by its name."""
     return KINDS.get(Path(path).suffix.lower(), "")

@@ -120,7 +120,6 @@ def _wipe(ui: Widgets, wipe: Wipe, viewpoint: Viewpoint) -> None:
 
 
 def files_panel(ui: Widgets, parts: WindowParts) -> None:
-    """What is opened and kept."""
     film = parts.recorder.film
     ui.action("Open", actions.OPEN, parts)
     ui.action("Save scene", actions.SAVE_SCENE, parts, beside=True)
@@ -129,7 +128,6 @@ def files_panel(ui: Widgets, parts: WindowParts) -> None:
 
 
 def look_panel(ui: Widgets, parts: WindowParts) -> None:
-    """Looks, and what they set."""
     looks_panel(ui, parts)
     effects_panel(ui, parts, first=True)
     background_panel(ui, parts)

@@ -31,7 +31,6 @@ class Widgets:
         self._unfolded: set[str] = set()
 
     def begin(self) -> None:
-        """A frame begins."""
         self._placing, self._tipping = {}, {}
 
     def end(self) -> None:
@@ -193,7 +192,6 @@ class Widgets:
 
 
 def tip_of(action: Action) -> str:
-    """What an action does, and its keys."""
     return f"{action.means[0].upper()}{action.means[1:]}.\nKey: {' or '.join(action.shown_keys)}"
 
 

@@ -14,7 +14,7 @@ from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.read import builtin_motion
 from player.budget import ladder, measure, table
 from player.budget.controller import PATIENCE, SETTLING, SLOW, WATCHED, BudgetController
-from player.budget.ladder import PricedRung, at_quality, best_within, frontier, parse_budget, scene_rungs, within
+from player.budget.ladder import PricedRung, best_within, frontier, parse_budget, scene_rungs, within
 from player.budget.measure import BudgetScene, steady_p95, worth_timing
 from player.budget.rung import Rung
 from player.budget.table import cache_folder, rung_within
@@ -110,7 +110,6 @@ def test_a_budget_is_answered_from_the_cache_until_it_no_longer_holds(context, s
     assert buy(budget=25.0)[1].rung.view == "network"
     assert buy(budget=5.0)[1].rung.view == "off"
     assert buy(budget=1.0)[1].rung.view == "off"
-    assert buy(quality=0.0)[1].rung.view == "off" and buy(quality=1.0)[1].rung.view == "network"
     assert len(measured) == 1
     # the machine has become half as fast
     milliseconds.load = 2.0
@@ -142,8 +141,6 @@ def test_a_budget_is_said_and_rungs_are_what_all_avatars_of_a_scene_hold(tmp_pat
     assert main(["render", str(tmp_path / "me.glb"), "--size", "64x64", "--budget", "9ms", "-o", out]) == 0
     text = capsys.readouterr().out
     assert "budget 9 ms: " in text and "ms a frame here, p95" in text
-    assert main(["render", str(tmp_path / "me.glb"), "--size", "64x64", "--quality", "0", "-o", out]) == 0
-    assert "paper mode" in capsys.readouterr().out
     names = [rung.name for rung in scene_rungs([avatar])]
     assert names[:4] == ["network per pixel, 27k", "linear, 27k", "per vertex, 27k", "paper mode, 27k"]
     cheaper = ["texture 256", "texture 128", "texture 64", "2 joints", "1 joint"]
@@ -236,17 +233,12 @@ def played(controller, loads, seed=0):
     return changes
 
 
-def test_a_budget_takes_the_most_exact_rung_in_p95_and_quality_walks_the_frontier():
+def test_a_budget_takes_the_most_exact_rung_in_p95():
     assert [one.rung.name for one in frontier(LADDER)] == ["coarse", "paper", "vertex", "linear", "network"]
     assert [within(LADDER, budget).rung.name for budget in (2.3, 4.5, 8.0, 9.8, 9.95, 100.0)] == [
         "coarse", "paper", "vertex", "vertex", "linear", "network",
     ]  # fmt: skip
     assert within(LADDER, 2.0) is None and within(LADDER, 8.0, load=1.5).rung.name == "paper"
-    names = [at_quality(LADDER, quality).rung.name for quality in np.linspace(0, 1, 11)]
-    assert names[0] == "coarse" and names[-1] == "network"
-    order = [one.rung.name for one in frontier(LADDER)]
-    places = [order.index(name) for name in names]
-    assert places == sorted(places) and set(places) == {0, 1, 2, 3, 4}
 
 
 def test_it_goes_down_after_twelve_slow_frames_and_up_where_room_is_left():

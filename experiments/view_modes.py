@@ -1,19 +1,29 @@
 """Every view mode of an avatar file beside true pictures that training never saw, and which of them shows the person
 best: a residual trained on one turning person can be wrong under a camera that moves.
+
+python -m experiments.view_modes AVATAR CAPTURE --json quality.json
+
+adds them as "view_modes" to what `selfscan eval --json` wrote of an avatar of given poses; experiments/quality_page.py
+shows them.
 """
 
+import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from avatar.baked_avatar import Avatar
+from avatar.gltf.avatar_file import read_avatar
 from avatar.psnr import PooledError, error_between, pooled
 from avatar.skeleton import PARTS
 from bake.measure import scored_mask
 from bake.promises import baked_facts
 from bench.report.writer import Json
 from bench.score.picture_scores import REGIONS, VIEW_REGION
-from capture.held_out import HeldOutView
+from capture.held_out import SETS, HeldOutView, read_held_out
+from files.input_file import read_json_object
+from files.whole import write_json
 from player.effects.avatar import views_of
 from player.gl.context import Context, open_context
 from player.scene.renderer import Renderer
@@ -90,3 +100,18 @@ def better_mode(scores: dict[str, float | None]) -> tuple[str, str]:
         return "off", "the true pictures show no person, so nothing could be measured"
     nearest = next(mode for mode, db in known.items() if db >= max(known.values()) - TIE_DB)
     return nearest, f"nearest to the true pictures: {', '.join(f'{mode} {db:.3f} dB' for mode, db in known.items())}"
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m experiments.view_modes", description=__doc__)
+    parser.add_argument("avatar", type=Path)
+    parser.add_argument("capture", type=Path)
+    parser.add_argument("--json", type=Path, required=True)
+    options = parser.parse_args(argv)
+    found = view_modes(read_avatar(options.avatar), {name: read_held_out(options.capture, name) for name in SETS})
+    write_json(options.json, read_json_object(options.json, "what eval wrote") | {"view_modes": found})
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,5 +1,8 @@
-"""Outlines of the standing person from eight sides, ours beside the true ones: a bag over a head or a hem that is
-missing shows here, whatever a mean distance forgives.
+"""The standing person beside the true one: outlines from eight sides, and the features of the face.
+
+A bag over a head or a hem that is missing shows in outlines, whatever a mean distance forgives. Features are lids,
+brows, nose and lips of iBUG's 68 points: the vertex of the template that the fit takes for the landmark, moved to the
+nearest point of what is judged. The jaw's points are left out: they slide along the outline as the head turns.
 """
 
 from typing import NamedTuple
@@ -9,12 +12,17 @@ from jaxtyping import Float
 
 from avatar.camera import Camera, orbit_camera
 from bench.score.picture_scores import REGION_PART
-from bench.score.posed_geometry import GeometryCase, PosedPair
+from bench.score.posed_geometry import GeometryCase, PosedPair, alignment
+from capture.fit.points import body_points
+from capture.folder import CaptureSubject
+from geometry.closest import closest_on_triangles, closest_points, triangle_index
 from player.draw.raster import Rasteriser
 
 SIDES = 8
 SIZE = (192, 192)
 FOV = 0.61  # radians
+INNER = range(17, 68)
+MILLIMETRES = 1000.0  # per metre
 
 
 class OutlineScore(NamedTuple):
@@ -53,3 +61,18 @@ def framing(points: Float[np.ndarray, "n 3"], azimuth: float) -> Camera:
     middle = 0.5 * (points.min(0) + points.max(0))
     radius = float(np.linalg.norm(points - middle, axis=1).max())
     return orbit_camera(middle, 1.1 * radius / np.tan(FOV / 2), azimuth, 0.0, SIZE, FOV)
+
+
+def face_landmarks_mm(template: CaptureSubject, case: GeometryCase, pair: PosedPair) -> float | None:
+    """Their mean in pose 0, the head aligned by itself; None: the truth or the template names none."""
+    truth = case.truth.face
+    if truth is None or not template.on_free_body:
+        return None
+    points = body_points()
+    places = np.stack([points[f"face_{number:02d}"].place(template.vertices, template.joints) for number in INNER])
+    found = closest_points(places, triangle_index(case.surface.vertices, case.faces))
+    corners = case.faces[found.face]
+    weights = closest_on_triangles(found.point, case.surface.vertices[corners])[1]
+    ours = np.einsum("nk,nkc->nc", weights, pair.surface[corners])
+    T = alignment(case, pair, "head")
+    return MILLIMETRES * float(np.linalg.norm(ours @ T[:3, :3].T + T[:3, 3] - truth[INNER], axis=1).mean())
