@@ -36,10 +36,10 @@ PRESETS: dict[str, dict[str, float]] = {
     "lookRight": {"eyeLookInLeft": 1.0, "eyeLookOutRight": 1.0},
     "neutral": {},
 }
-# VRM 0.x's names of the same
+# VRM 0.x's names of the same, where they differ by more than a capital
 EARLIER = {
-    "joy": "happy", "sorrow": "sad", "fun": "relaxed", "a": "aa", "i": "ih", "u": "ou", "e": "ee", "o": "oh",
-    "blink_l": "blinkLeft", "blink_r": "blinkRight",
+    "Joy": "happy", "Sorrow": "sad", "Fun": "relaxed", "A": "aa", "I": "ih", "U": "ou", "E": "ee", "O": "oh",
+    "Blink_L": "blinkLeft", "Blink_R": "blinkRight",
 }  # fmt: skip
 
 
@@ -58,7 +58,7 @@ def _plain(name: str) -> str:
 
 def _spellings() -> dict[str, dict[int, float]]:
     names = {_plain(name): shapes_of(recipe) for name, recipe in PRESETS.items()}
-    names |= {name: shapes_of(PRESETS[now]) for name, now in EARLIER.items()}
+    names |= {name.lower(): shapes_of(PRESETS[now]) for name, now in EARLIER.items()}
     for name, number in NUMBER.items():
         for side in ("Left", "Right"):
             if name.endswith(side):

@@ -8,7 +8,8 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.gltf.animation import write_animated
-from avatar.gltf.vrm_write import PERMISSIONS, Likeness, write_vrm
+from avatar.gltf.vrm_extension import PERMISSIONS, Likeness
+from avatar.gltf.vrm_write import write_vrm
 from avatar.motion.amass import write_amass
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip, Motion
@@ -33,7 +34,7 @@ OUT decides the kind:
          an avatar file, and is itself a motion: selfscan render me.glb --motion me_counting.glb -o film.mp4
   .bvh   skeleton of this avatar at rest in T-pose, y up, metres (--unit cm where centimetres are expected)
   .npz   AMASS keys (poses, trans, mocap_framerate ...), z up as AMASS is
-  .vrm   the person without a motion, for VSeeFace, Warudo, three-vrm and others: bones, face, gaze, unlit
+  .vrm   the person without a motion, for Warudo, three-vrm and others: bones, face, gaze, unlit (--vrm0: VSeeFace)
 
 The root is scaled to the avatar's legs and its ground is found, as render and play do. What was assumed is printed.
 docs/interchange.md says how to open each in Blender, three.js and others."""
@@ -51,6 +52,7 @@ class ExportCommand:
     who: Annotated[str, OneOf(PERMISSIONS), "of a .vrm: who may use this likeness; onlyAuthor is the person alone"] = (
         PERMISSIONS[0]
     )
+    vrm0: Annotated[bool, "of a .vrm: VRM 0.x, for VSeeFace and other programs that read no 1.0"] = False
     frames: FramesOption = None
     body: BodyOption = None
     hands: HandsOption = "file"
@@ -62,8 +64,8 @@ class ExportCommand:
             raise ValueError(f"-o: expected a name that ends in {', '.join(SUFFIXES)}, found {str(self.output)!r}")
         if (self.motion is None) != (self.kind == ".vrm"):
             raise ValueError("--motion: expected one, except of a .vrm")
-        if self.kind != ".vrm" and (self.author is not None or self.who != PERMISSIONS[0]):
-            raise ValueError("--author and --who are for .vrm")
+        if self.kind != ".vrm" and (self.author is not None or self.who != PERMISSIONS[0] or self.vrm0):
+            raise ValueError("--author, --who and --vrm0 are for .vrm")
         if self.unit != "m" and self.kind != ".bvh":
             raise ValueError(f"--unit is for .bvh; {self.kind} files are in metres")
         if self.output.exists() and Path(self.avatar).exists() and self.output.samefile(self.avatar):
@@ -88,10 +90,12 @@ def export_main(argv: list[str]) -> int:
 
 def export_vrm(options: ExportCommand, avatar: Avatar) -> int:
     likeness = Likeness(avatar.name, options.author or avatar.name, options.who)
-    write_vrm(options.output, options.avatar, likeness, pelvis_height(avatar))
+    version = 0 if options.vrm0 else 1
+    write_vrm(options.output, options.avatar, likeness, pelvis_height(avatar), version=version)
     face = "face and gaze" if avatar.eyes is not None else "no face in the avatar's file"
     size = options.output.stat().st_size / 1e6
-    print(f"{options.output}: VRM 1.0, {face}, {likeness.permission} ({likeness.author}), {size:.1f} MB")
+    name = ("VRM 0.x", "VRM 1.0")[version]
+    print(f"{options.output}: {name}, {face}, {likeness.permission} ({likeness.author}), {size:.1f} MB")
     return 0
 
 

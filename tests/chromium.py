@@ -24,6 +24,7 @@ import pytest
 from avatar.camera import Camera, clip_from_view, view_from_world
 from avatar.face import eye_turn
 from avatar.gltf.face import EYE_JOINTS
+from avatar.gltf.humanoid import vrm_names
 from avatar.rotation import quaternion_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import JOINTS
 from player.draw.drawing import GivenPose
@@ -106,19 +107,23 @@ def three_frames(
     modules: Path,
     profile: Path,
     background: str = "#000000",
+    vrm: Sequence[dict] | None = None,
 ) -> list[np.ndarray]:
     """Frames (H, W, 3) of the avatar file by three.js, row 0 on top; faces as in poses that have one.
 
+    vrm: the file is one, and three-vrm moves it: `expressions` and `look` (yaw, pitch, degrees) of each pose.
     `modules` is a folder with node_modules/three, `profile` an empty folder for the browser's own files.
     """
     width, height = camera.size
+    names = JOINTS if vrm is None else [vrm_names(1)[joint] for joint in JOINTS]
     setup = {
+        "vrm": vrm,
         "size": [width, height],
         "view_from_world": view_from_world(camera).tolist(),
         "clip_from_view": clip_from_view(camera, 0.05, 50.0).tolist(),
         "background": background,
         "rotations": [
-            dict(zip(JOINTS, quaternion_from_axis_angle(pose[0]).tolist(), strict=True)) | _eyes(pose) for pose in poses
+            dict(zip(names, quaternion_from_axis_angle(pose[0]).tolist(), strict=True)) | _eyes(pose) for pose in poses
         ],
         "weights": [pose[2].weights.tolist() if _faced(pose) else None for pose in poses],
         "places": [pose[1].tolist() for pose in poses],
@@ -127,6 +132,7 @@ def three_frames(
         "/page.html": PAGE,
         "/setup.json": json.dumps(setup).encode(),
         "/avatar.glb": avatar,
+        "/three-vrm.js": modules / "node_modules" / "@pixiv" / "three-vrm" / "lib" / "three-vrm.module.js",
         "/three/": modules / "node_modules" / "three",
     }
     posted: queue.Queue = queue.Queue()

@@ -1,75 +1,59 @@
-"""A VRM 1.0 of an avatar file: the person as a humanoid that programs for virtual presence take.
+"""A VRM 1.0 or 0.x of an avatar file: the person as a humanoid that programs for virtual presence take.
 
-The finest mesh alone, unlit, with its 52 joints as VRM's bones and the feet on the ground. Where the file has a face:
-VRM's 18 preset expressions (avatar/face_names.py) and ARKit's 52 shapes by their own names, bound to the mesh's morph
-targets, and a gaze that turns the joints of the eyes. Lids follow a gaze by the expressions lookUp and lookDown only:
-VRM's lookAt of bones has none. What is ours alone (view dependence, levels of detail) stays behind.
+The finest mesh alone, unlit, with its 52 joints as VRM's bones, the feet on the ground, and its face where the file
+has one; vrm_extension.py says what is what. What is ours alone (view dependence, levels of detail) stays behind.
 
-It is someone's likeness: the metadata say who may use it, and answer what else VRM asks in the narrowest way.
-github.com/vrm-c/vrm-specification, specification/VRMC_vrm-1.0.
+VRM 1.0 looks along +z as an avatar file does: its bytes are copied. VRM 0.x looks along -z (specification/0.0, "VRM
+rules"): everything is turned by half a turn about y, so that a transform M becomes T M T, T = diag(-1, 1, -1, 1). Its
+nodes rest in T-pose; the mesh stays in the canonical pose under its inverse binds. UniVRM before 0.60 reads joints as
+two bytes and weights as floats, whatever the file says, and names of targets from the primitive: so they are written.
 """
 
 import copy
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.face import SHAPES
-from avatar.face_names import NUMBER, PRESETS, shapes_of
-from avatar.gaze import DOWN, UP, YAW
 from avatar.gltf.avatar_file import avatar_gltf, read_avatar
 from avatar.gltf.document import Gltf
-from avatar.gltf.face import EYE_JOINTS, eye_offsets
-from avatar.gltf.humanoid import vrm_names
-from avatar.gltf.scene import primitives, read_skin
-from avatar.gltf.write import GltfBuilder
-from avatar.skeleton import JOINTS
+from avatar.gltf.face import add_targets
+from avatar.gltf.scene import primitives
+from avatar.gltf.vrm_extension import EXTENSIONS, Likeness, earlier_extension, vrm_extension
+from avatar.gltf.write import VERTICES, GltfBuilder
 from files.input_file import JsonObject
 from files.whole import whole_file
 
-EXTENSION = "VRMC_vrm"
-LICENSE = "https://vrm.dev/licenses/1.0/"
-# VRM's words for who may appear as this person, the narrowest first
-PERMISSIONS = ("onlyAuthor", "onlySeparatelyLicensedPerson", "everyone")
-# no word of VRM allows more than these
-NARROW: JsonObject = {
-    "allowExcessivelyViolentUsage": False, "allowExcessivelySexualUsage": False, "commercialUsage": "personalNonProfit",
-    "allowPoliticalOrReligiousUsage": False, "allowAntisocialOrHateUsage": False, "creditNotation": "required",
-    "allowRedistribution": False, "modification": "prohibited",
-}  # fmt: skip
+# half a turn about y
+TURN = np.array([-1.0, 1.0, -1.0], np.float32)
 
 
-class Likeness(NamedTuple):
-    """Whose likeness it is, and who may use it."""
-
-    name: str
-    author: str
-    permission: str = PERMISSIONS[0]
-
-
-def write_vrm(path: Path | str, avatar_path: Path | str, likeness: Likeness, pelvis_height: float) -> None:
+def write_vrm(
+    path: Path | str, avatar_path: Path | str, likeness: Likeness, pelvis_height: float, *, version: int = 1
+) -> None:
     """Write a .vrm of the avatar file, whole or not at all; the pelvis stands at this height, metres.
+
+    version: 1 (1.0) or 0 (0.x).
 
     Raises:
         AssetError: `avatar_path` is not an avatar file.
     """
     avatar, gltf, builder = read_avatar(avatar_path, levels=1), avatar_gltf(avatar_path), GltfBuilder()
-    source = primitives(gltf, 0)[0]
-    attributes = {name: number for name, number in source["attributes"].items() if not name.startswith("_")}
-    primitive: JsonObject = {
-        "attributes": {name: _copied(gltf, builder, number) for name, number in attributes.items()},
-        "indices": _copied(gltf, builder, source["indices"]),
-        "material": 0,
-    }
-    mesh: JsonObject = {**gltf.items("meshes")[0], "primitives": [primitive]}
-    if avatar.eyes is not None:
-        targets = source["targets"]
-        primitive["targets"] = [{"POSITION": _copied(gltf, builder, target["POSITION"])} for target in targets]
-    nodes, skin = copy.deepcopy(gltf.items("nodes")), {**gltf.items("skins")[0]}
+    nodes = copy.deepcopy(gltf.items("nodes"))
     nodes[0]["translation"][1] += pelvis_height
-    skin["inverseBindMatrices"] = _copied(gltf, builder, skin["inverseBindMatrices"])
+    if version == 1:
+        surface, inverse_binds = _copied_surface(gltf, builder, avatar)
+        extension = vrm_extension(gltf, avatar, likeness)
+    else:
+        surface, inverse_binds = _turned_surface(gltf, builder, avatar)
+        extension = earlier_extension(gltf, avatar, likeness)
+        for node in nodes:
+            if "translation" in node:
+                node["translation"] = (TURN * np.array(node["translation"])).tolist()
+    source = primitives(gltf, 0)[0]
+    primitive = {**surface, "indices": _copied(gltf, builder, source["indices"]), "material": 0}
     material = {**gltf.items("materials")[source["material"]]}
     texture = gltf.items("textures")[material["pbrMetallicRoughness"]["baseColorTexture"]["index"]]
     image = gltf.items("images")[texture["source"]]
@@ -78,13 +62,13 @@ def write_vrm(path: Path | str, avatar_path: Path | str, likeness: Likeness, pel
     data = builder.to_bytes(
         {
             "asset": {"version": "2.0", "generator": "selfscan"},
-            "extensionsUsed": ["KHR_materials_unlit", EXTENSION],
-            "extensions": {EXTENSION: _extension(gltf, avatar, likeness)},
+            "extensionsUsed": ["KHR_materials_unlit", EXTENSIONS[version]],
+            "extensions": {EXTENSIONS[version]: extension},
             "scene": 0,
             "scenes": gltf.items("scenes")[:1],
             "nodes": nodes,
-            "skins": [skin],
-            "meshes": [mesh],
+            "skins": [{**gltf.items("skins")[0], "inverseBindMatrices": inverse_binds}],
+            "meshes": [{**gltf.items("meshes")[0], "primitives": [primitive]}],
             "materials": [material],
             "textures": [{**texture, "source": 0}],
             "samplers": gltf.items("samplers"),
@@ -94,49 +78,40 @@ def write_vrm(path: Path | str, avatar_path: Path | str, likeness: Likeness, pel
         file.write(data)
 
 
-def _extension(gltf: Gltf, avatar: Avatar, likeness: Likeness) -> JsonObject:
-    """What VRMC_vrm says of the file's nodes and morph targets, which stay as they are."""
-    nodes, names = gltf.items("nodes"), vrm_names(1)
-    bones = {names[joint]: {"node": node} for joint, node in zip(JOINTS, read_skin(gltf, 0).nodes[:52], strict=True)}
-    extension: JsonObject = {
-        "specVersion": "1.0",
-        "meta": {
-            "name": likeness.name, "version": "1", "authors": [likeness.author], "licenseUrl": LICENSE,
-            "avatarPermission": likeness.permission, **NARROW,
-        },
-        "humanoid": {"humanBones": bones},
-    }  # fmt: skip
-    if avatar.eyes is None:
-        return extension
-    for bone, name in zip(("leftEye", "rightEye"), EYE_JOINTS, strict=True):
-        bones[bone] = {"node": next(k for k, node in enumerate(nodes) if node.get("name") == name)}
-    body = next(k for k, node in enumerate(nodes) if node.get("mesh") == 0)
-    extension["lookAt"] = {
-        "type": "bone",
-        "offsetFromHeadBone": [float(x) for x in eye_offsets(avatar).mean(0)],
-        "rangeMapHorizontalInner": _range(YAW),
-        "rangeMapHorizontalOuter": _range(YAW),
-        "rangeMapVerticalDown": _range(DOWN),
-        "rangeMapVerticalUp": _range(UP),
+def _attributes(gltf: Gltf) -> dict[str, int]:
+    """The accessors of the finest mesh that others know."""
+    return {k: number for k, number in primitives(gltf, 0)[0]["attributes"].items() if not k.startswith("_")}
+
+
+def _copied_surface(gltf: Gltf, builder: GltfBuilder, avatar: Avatar) -> tuple[JsonObject, int]:
+    """Attributes and targets of the mesh, and the accessor of the inverse binds, byte for byte."""
+    surface: JsonObject = {
+        "attributes": {name: _copied(gltf, builder, number) for name, number in _attributes(gltf).items()}
     }
-    extension["expressions"] = {
-        "preset": {name: _expression(body, shapes_of(recipe)) for name, recipe in PRESETS.items()},
-        "custom": {name: _expression(body, {NUMBER[name]: 1.0}) for name in SHAPES},
-    }
-    return extension
+    if avatar.eyes is not None:
+        targets = primitives(gltf, 0)[0]["targets"]
+        surface["targets"] = [{"POSITION": _copied(gltf, builder, target["POSITION"])} for target in targets]
+    return surface, _copied(gltf, builder, gltf.items("skins")[0]["inverseBindMatrices"])
 
 
-def _range(most: float) -> JsonObject:
-    """Eyes follow to their reach, degrees."""
-    degrees = round(float(np.degrees(most)), 3)
-    return {"inputMaxValue": degrees, "outputScale": degrees}
-
-
-def _expression(node: int, shapes: dict[int, float]) -> JsonObject:
-    if not shapes:
-        return {"isBinary": False}
-    binds = [{"node": node, "index": number, "weight": weight} for number, weight in sorted(shapes.items())]
-    return {"isBinary": False, "morphTargetBinds": binds}
+def _turned_surface(gltf: Gltf, builder: GltfBuilder, avatar: Avatar) -> tuple[JsonObject, int]:
+    """The same, turned to look along -z."""
+    attributes: dict[str, int] = {}
+    for name, number in _attributes(gltf).items():
+        values = gltf.accessor(number, as_float=name == "WEIGHTS_0")
+        if name == "JOINTS_0":
+            values = values.astype(np.uint16)
+        elif name in ("POSITION", "NORMAL"):
+            values = values * TURN
+        attributes[name] = builder.add_accessor(values, VERTICES, bounds=name == "POSITION")
+    surface: JsonObject = {"attributes": attributes}
+    level = avatar.levels[0]
+    if level.face is not None:
+        turned = replace(level.face, offsets=level.face.offsets * TURN)
+        surface |= {"targets": add_targets(builder, level, turned), "extras": {"targetNames": list(SHAPES)}}
+    turn = np.append(TURN, np.float32(1))
+    inverse_binds = gltf.accessor(gltf.items("skins")[0]["inverseBindMatrices"])
+    return surface, builder.add_accessor(inverse_binds * np.outer(turn, turn))
 
 
 def _copied(gltf: Gltf, builder: GltfBuilder, number: int) -> int:
