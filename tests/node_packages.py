@@ -1,7 +1,7 @@
 """Node and its packages for tests of other people's programs.
 
-SELFSCAN_GLTF_VALIDATOR names the folder that `npm install --prefix FOLDER gltf-validator three` filled; else the
-repository's root is looked into.
+SELFSCAN_GLTF_VALIDATOR names the folder that `npm install --prefix FOLDER gltf-validator three @pixiv/three-vrm`
+filled; else the repository's root is looked into.
 """
 
 import json

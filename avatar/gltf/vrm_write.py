@@ -5,8 +5,8 @@ has one; vrm_extension.py says what is what. What is ours alone (view dependence
 
 VRM 1.0 looks along +z as an avatar file does: its bytes are copied. VRM 0.x looks along -z (specification/0.0, "VRM
 rules"): everything is turned by half a turn about y, so that a transform M becomes T M T, T = diag(-1, 1, -1, 1). Its
-nodes rest in T-pose; the mesh stays in the canonical pose under its inverse binds. UniVRM before 0.60 reads joints as
-two bytes and weights as floats, whatever the file says, and names of targets from the primitive: so they are written.
+nodes rest in T-pose; the mesh stays in the canonical pose under its inverse binds. Early UniVRM reads joints as two
+bytes and weights as floats, whatever the file says, and names of targets from the primitive: so they are written.
 """
 
 import copy
