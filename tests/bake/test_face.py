@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from face_sheet import IRIS, WHITE, face_sheet
+from scipy.spatial import KDTree
 from tiny_avatar import tiny_avatar
 
 from avatar.face import SHAPES
@@ -12,9 +13,9 @@ from avatar.texture import sample_texture
 from bake.bake import _Clock, faced
 from bake.face.cut import chains, cut_along, divided_faces
 from bake.face.eyes import CAP, eye_axis, iris_picture
-from bake.face.face import parted, with_face
+from bake.face.face import COARSE, parted, with_face
 from bake.face.features import aligned
-from bake.face.lips import lip_line
+from bake.face.lips import STEP, lip_line
 from bake.face.mouth import zipped
 from bake.face.strip import LEFT_EYE, MOUTH, size_in, uv_in, with_strip
 from bake.face.template import FaceRefused, person_face
@@ -22,7 +23,7 @@ from geometry.mesh import face_areas
 
 SHEET = face_sheet()
 PARTED = parted(SHEET.level, SHEET.person, lip_line(SHEET.person))
-FACED = with_face([SHEET.level], SHEET.person)
+FACED = with_face([SHEET.level, SHEET.level], SHEET.person)
 
 
 def moved(level, **weights):
@@ -81,6 +82,7 @@ def test_lips_touch_at_rest_and_part_between_their_corners_when_the_jaw_opens():
     jaw = offsets[SHAPES.index("jawOpen"), :, 1]
     apart = jaw[PARTED.upper] - jaw[PARTED.lower]
     assert apart[[0, -1]].tolist() == [0, 0] and apart.max() > 0.02 and apart[5:-5].min() > 0.005
+    assert np.median(np.linalg.norm(np.diff(upper, axis=0), axis=1)) > STEP
 
 
 def test_a_mouth_closed_again_leaves_less_than_a_millimetre():
@@ -89,9 +91,10 @@ def test_a_mouth_closed_again_leaves_less_than_a_millimetre():
     assert np.linalg.norm(both[PARTED.upper] - both[PARTED.lower], axis=1).max() < 0.0008
 
 
+@pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("shape", ["jawOpen", "mouthFunnel", "mouthSmileLeft", "mouthUpperUpRight"])
-def test_no_shape_opens_a_gap_between_lips_and_mouth(shape):
-    level = FACED.levels[0]
+def test_no_shape_opens_a_gap_between_lips_and_mouth(shape, number):
+    level = FACED.levels[number]
     points = np.round(moved(level, **{shape: 1.0}) * 1e6).astype(np.int64)
     near = lip_line(SHEET.person).away(level.positions.astype(np.float64)) < 0.003
     place = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
@@ -101,6 +104,16 @@ def test_no_shape_opens_a_gap_between_lips_and_mouth(shape):
     own = edges[np.isin(edges, skin).all(1)]
     assert np.isin(place[own[:, 0]] * len(place) + place[own[:, 1]],
                    place[edges[:, 1]] * len(place) + place[edges[:, 0]]).all()  # fmt: skip
+
+
+def test_a_coarser_level_follows_the_finest_one_as_it_would_move_by_itself():
+    level, alone = FACED.levels[1], parted(SHEET.level, SHEET.person, lip_line(SHEET.person), COARSE[1]).growing
+    assert level.face.follow is not None and FACED.levels[0].face.follow is None
+    place = KDTree(alone.level.positions).query(level.positions[level.face.vertices])
+    same = place[0] < 1e-7
+    off = np.linalg.norm(level.face.offsets[:, same] - alone.offsets[:, place[1][same]], axis=2)
+    # lips touch: their offsets are of either
+    assert same.sum() > 1000 and np.percentile(off, 99) < 0.0002
 
 
 @pytest.mark.parametrize("weight", [0, 0.25, 0.5, 0.75, 1])
