@@ -4,7 +4,8 @@
 
 The four people of the sample data (c-frame/valid-avatars-glb) share one texture layout, which says what point of one is
 what point of another, and each has 65 shapes of the face by the same artist. Their templates are registered as `synth`
-does (kept in OUT) or read from DIR/NAME/subject.npz. Then, for each of the twelve ordered pairs:
+does (kept in OUT), or come from pixels: DIR/NAME/subject.npz of a run and DIR/NAME/avatar.glb, its bake, laid onto the
+scan by the face's surface. Then, for each of the twelve ordered pairs:
 
 - a vertex of the first person's skin goes to the closest place of their template that faces the same way, from there to
   the same place of the second person's template, and on to the closest point of their skin; how far is that off the
@@ -13,7 +14,8 @@ does (kept in OUT) or read from DIR/NAME/subject.npz. Then, for each of the twel
   the second person's own: mean length of the difference over that of the motion, where it moves. Carried by texture
   coordinates the same number says how much the two people differ.
 
-Writes OUT/face_correspondence.json and .md.
+Once as registered, once as a bake takes it: moved to the lips and brows that the scan's or the bake's picture shows
+(bake/face/features.py). Writes OUT/face_correspondence.json and .md.
 """
 
 import argparse
@@ -22,13 +24,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Integer
+from jaxtyping import Bool, Float, Float32, Integer, UInt8
 from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
+from avatar.baked_avatar import Level
+from avatar.gltf.avatar_file import read_avatar
 from avatar.gltf.document import read_gltf
-from avatar.gltf.rigged import RiggedPart, read_rigged
+from avatar.gltf.rigged import Rigged, RiggedPart, read_rigged
+from avatar.gltf.scene import read_base_color
 from avatar.similarity import similarity_from_landmarks
+from avatar.skeleton import JOINTS
+from bake.face.features import aligned
 from bake.face.template import PersonFace, person_face
 from bench.report.writer import markdown_table
 from capture.folder import read_subject
@@ -38,6 +45,7 @@ from files.input_file import JsonObject
 from files.npz import read_npz
 from files.whole import write_json, write_text
 from geometry.closest import closest_points, match_surface, triangle_index
+from geometry.icp import rigid_icp
 from geometry.mesh import blended, vertex_normals
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
@@ -73,6 +81,7 @@ class Scan(NamedTuple):
     shapes: tuple[str, ...]
     offsets: Float32[Array, "shapes n 3"]
     person: PersonFace
+    baked: PersonFace  # as a bake takes it
 
     @property
     def seen(self) -> Bool[Array, "n"]:
@@ -118,9 +127,42 @@ def read_scan(data: Path, name: str, out: Path, templates: Path | None) -> Scan:
         raise ValueError(f"{name}: the head should be its bind pose's, is off by {into.residual} m")
     offsets = np.zeros((len(stored[f"{SKIN}/names"]), len(points), 3), np.float32)
     offsets[:, rows] = stored[f"{SKIN}/delta"] * float(stored[f"{SKIN}/scale"]) @ into.transform[:3, :3].T
-    person = person_face(read_subject(kept, name))
     names = tuple(str(shape) for shape in stored[f"{SKIN}/names"])
-    return Scan(name, points, faces, skin.uv.astype(np.float64), names, offsets, person)
+    person = person_face(read_subject(kept, name))
+    picture = scan_level(rigged, number, read_base_color(gltf, skin.material, [])[0])
+    if templates is None:
+        faced = (person, aligned(person, picture))
+    else:
+        faced = (person, aligned(person, read_avatar(kept.parent / "avatar.glb", levels=1).levels[0]))
+        eyes = picture.positions[len(points) :]
+        faced = tuple(laid_on(one, points, faces, 0.5 * (eyes.min(0) + eyes.max(0))) for one in faced)
+    return Scan(name, points, faces, skin.uv.astype(np.float64), names, offsets, *faced)
+
+
+def laid_on(
+    person: PersonFace, points: Float[Array, "n 3"], faces: Integer[Array, "faces 3"], eyes: Float32[Array, "3"]
+) -> PersonFace:
+    """A face moved rigidly onto a scan whose eyes' middle is given."""
+    vertices = person.vertices + eyes - person.eyes.centres.mean(0)
+    moved = rigid_icp(vertices[np.unique(person.skin)], triangle_index(points, faces))
+    return person._replace(vertices=vertices @ moved[:3, :3].T + moved[:3, 3])
+
+
+def scan_level(rigged: Rigged, number: int, texture: UInt8[Array, "height width 3"]) -> Level:
+    """The skin, which is part `number` and has this texture, with the eyeballs, as a baked level."""
+    starts = _starts(rigged.parts)
+    parts = [number, *(k for k, part in enumerate(rigged.parts) if "_eye" in part.called)]
+    own = np.concatenate([starts[k] + np.arange(len(rigged.parts[k].vertices)) for k in parts])
+    sizes = np.cumsum([0, *(len(rigged.parts[k].vertices) for k in parts)])
+    faces = np.concatenate([rigged.parts[k].faces + at for k, at in zip(parts, sizes, strict=False)])
+    # eyeballs are of one color of the skin's texture
+    uv = np.concatenate([rigged.parts[k].uv * (k == number) for k in parts]).astype(np.float32)
+    points, count = rigged.vertices[own].astype(np.float32), len(own)
+    first, normals = np.eye(1, 4, dtype=np.uint8).repeat(count, 0), vertex_normals(points, faces).astype(np.float32)
+    return Level(
+        points, normals, uv, faces.astype(np.uint32), JOINTS.index("head") * first, 255 * first, -normals,
+        np.zeros((count, 6), np.float32), np.ones(count, np.float32), np.ascontiguousarray(texture[..., :3]), None,
+    )  # fmt: skip
 
 
 def _starts(parts: list[RiggedPart]) -> list[int]:
@@ -194,28 +236,32 @@ def summary(pairs: list[JsonObject]) -> JsonObject:
         | {f"{region}_mm": round(float(np.median(pair["regions"][region])), 2) for region in REGIONS}
         for pair in pairs
     ]
-    out["shapes"] = {"count": len(motion), "error_of_motion": through, "people_differ": differ, "goal": GOAL}
+    out["shapes"] = {"count": len(motion), "error_of_motion": through, "people_differ": differ}
     return out
 
 
-def markdown(found: JsonObject) -> str:
-    """The table of a summary."""
+def markdown(kinds: dict[str, JsonObject]) -> str:
+    """The table of summaries, by kind of template."""
     rows = [
-        [region, str(one["points"]), f"{one['median_mm']:.1f}", f"{one['pairs_mm'][0]:.1f} to {one['pairs_mm'][1]:.1f}",
-         f"{one['p90_mm']:.1f}", f"{one['goal_mm']:g}"]
-        for region, one in found.items() if region in REGIONS
+        [region, kind, str(one["points"]), f"{one['median_mm']:.1f}",
+         " to ".join(f"{mm:.1f}" for mm in one["pairs_mm"]), f"{one['p90_mm']:.1f}", f"{one['goal_mm']:g}"]
+        for region in REGIONS for kind, found in kinds.items() for one in (found[region],)
     ]  # fmt: skip
-    shapes = found["shapes"]
+    head = ["region", "template", "points", "median mm", "of single pairs", "9 in 10 mm", "goal mm"]
     lines = [
         "# Correspondence of faces against truth",
         "",
         "Four scans, twelve ordered pairs (`python -m experiments.face_correspondence`): a point of one person carried",
         "to another through both templates, off the true one by",
         "",
-        *markdown_table(["region", "points", "median mm", "of single pairs", "9 in 10 mm", "goal mm"], rows),
+        *markdown_table(head, rows),
         "",
-        f"Shapes carried from one to another ({shapes['count']}): error {shapes['error_of_motion']:.2f} of the motion "
-        f"(goal {shapes['goal']:g}; with true correspondence {shapes['people_differ']:.2f}: so much people differ).",
+        *(
+            f"Shapes carried from one to another, {kind} ({found['shapes']['count']}): error "
+            f"{found['shapes']['error_of_motion']:.2f} of the motion (goal {GOAL:g}; with true correspondence "
+            f"{found['shapes']['people_differ']:.2f}: so much people differ)."
+            for kind, found in kinds.items()
+        ),
     ]
     return "\n".join(lines) + "\n"
 
@@ -224,11 +270,14 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("SELFSCAN_DATA", "../shared/data")))
-    parser.add_argument("--templates", type=Path, help="folder of NAME/subject.npz, in place of registering")
+    parser.add_argument("--templates", type=Path, help="of people from pixels, in place of registering")
     arguments = parser.parse_args(argv)
+    arguments.out.mkdir(parents=True, exist_ok=True)
     scans = [read_scan(arguments.data, name, arguments.out, arguments.templates) for name in PEOPLE]
-    pairs = [pair_scores(a, b) for a in scans for b in scans if a is not b]
-    found = summary(pairs)
+    baked = [scan._replace(person=scan.baked) for scan in scans]
+    found: dict[str, JsonObject] = {}
+    for kind, people in (("as registered", scans), ("as baked", baked)):
+        found[kind] = summary([pair_scores(a, b) for a in people for b in people if a is not b])
     text = markdown(found)
     write_json(arguments.out / "face_correspondence.json", found)
     write_text(arguments.out / "face_correspondence.md", text)

@@ -23,7 +23,7 @@ def scan(name: str, scale: float, beside: float) -> Scan:
     uv = np.c_[np.arange(BODY) / BODY, np.zeros(BODY)] * 100
     offsets = person.face.offsets[[SHAPES.index(one) for one in LIKE], :BODY]
     there = person._replace(vertices=points + [beside, 0, 0])
-    return Scan(name, points, person.skin, uv, NAMES, offsets, there)
+    return Scan(name, points, person.skin, uv, NAMES, offsets, there, there)
 
 
 @pytest.mark.parametrize("beside, least, most", [(0.0, 0.0, 0.01), (0.003, 1.5, 3.01)])
@@ -33,4 +33,4 @@ def test_points_land_as_far_off_as_a_template_lies_beside_the_person(beside, lea
         assert found[region]["points"] > 15 and least <= found[region]["median_mm"] <= most
     # the same shapes on both: what differs comes from the template
     assert found["shapes"]["people_differ"] == 0 and (found["shapes"]["error_of_motion"] > 0.05) == (beside > 0)
-    assert f"| mouth | {found['mouth']['points']} |" in markdown(found)
+    assert f"| mouth | of a test | {found['mouth']['points']} |" in markdown({"of a test": found})
