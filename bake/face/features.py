@@ -177,7 +177,7 @@ def darkest_off(
     reach = int(reach_m / PIXEL)
     steps = np.arange(-reach, reach + 1)
     rows = np.clip(np.round(line[:, None] + steps).astype(np.int64), 0, len(light) - 1)
-    cost = light[rows, columns[:, None]] + STRAY * np.abs(steps) + (rows > picture.row(np.array(lowest)))
+    cost = light[rows, columns[:, None]] + STRAY * np.abs(steps) + (rows > picture.row(np.array([lowest])))
     total, came = cost[0], np.zeros(cost.shape, np.int64)
     for k in range(1, len(columns)):
         tried = np.stack([np.roll(total, s) + BEND * abs(s) for s in (-1, 0, 1)])

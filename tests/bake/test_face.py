@@ -14,7 +14,7 @@ from bake.bake import _Clock, faced
 from bake.face.cut import chains, cut_along, divided_faces
 from bake.face.eyes import CAP, eye_axis, iris_picture
 from bake.face.face import COARSE, parted, with_face
-from bake.face.features import aligned
+from bake.face.features import PIXEL, ROUND, FrontPicture, aligned, brows_off, darkest_off, with_brow
 from bake.face.lips import STEP, lip_line
 from bake.face.mouth import zipped
 from bake.face.strip import LEFT_EYE, MOUTH, size_in, uv_in, with_strip
@@ -176,6 +176,40 @@ def test_lips_that_registration_left_beside_the_picture_s_are_found():
     off = SHEET.person._replace(vertices=SHEET.person.vertices + [0, -0.005, 0])
     found, right = lip_line(aligned(off, SHEET.level)), lip_line(SHEET.person)
     assert np.abs(np.interp(right.x[20:-20], found.x, found.y) - right.y[20:-20]).max() < 0.001
+
+
+def strip(*bands, base=0.7):
+    """A picture of 6 cm from y = 0 up, with bands (y, half width, brightness), and a line at y = 3 cm."""
+    height = 0.06 - PIXEL * np.arange(120)
+    light = np.full(120, base)
+    for y, half, brightness in bands:
+        light[np.abs(height - y) < half] = brightness
+    x = np.linspace(-0.02, 0.02, 5)
+    picture = FrontPicture(
+        np.repeat(light[:, None], 160, 1), np.zeros((120, 160, 3)), np.array([-0.04, 0.06 - 119 * PIXEL])
+    )
+    return picture, np.c_[x, np.full(5, 0.03), 0 * x]
+
+
+def test_lips_meet_in_a_thin_dark_line_not_where_a_lip_is_dark():
+    picture, line = strip((0.038, 0.007, 0.4), (0.031, 0.0006, 0.35))
+    off, _ = darkest_off(picture, line[:, 0], line[:, 1], 0.018, (PIXEL, ROUND))
+    assert np.abs(off - 0.001).max() < 0.0006
+
+
+@pytest.mark.parametrize("bands, wanted", [
+    ([(0.034, 0.002, 0.4)], 0.004), ([], 0), ([(0.021, 0.003, 0.3)], 0),
+    ([(0.034, 0.002, 0.4), (0.018, 0.003, 0.1)], 0.004),
+])  # fmt: skip
+def test_brows_are_the_dark_band_over_both_eyes_and_no_lid(bands, wanted):
+    picture, brow = strip(*bands)
+    assert abs(brows_off(picture, [brow, brow], np.array([[0, 0.012, 0], [0, 0.012, 0]])) - wanted) < 0.0007
+
+
+def test_skin_at_a_brow_moves_with_it_and_lids_do_not():
+    _, brow = strip()
+    at = np.array([[0, 0.03, 0.01], [0.0, 0.018, 0.01], [0, 0.061, 0.01], [0.035, 0.03, 0.01], [0, 0.03, -0.01]])
+    assert with_brow(at, brow, np.array([0, 0.012, 0])).tolist() == [1, 0, 0, 0, 0]
 
 
 def test_a_painted_eye_gets_a_ball_behind_it():
