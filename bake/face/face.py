@@ -20,7 +20,7 @@ from bake.face.eyes import WITHIN, Cap, OpenEye, cap, cut_ball, eye_axis, iris_p
 from bake.face.features import aligned
 from bake.face.follow import following
 from bake.face.lips import LipLine, cut_lips, lip_line
-from bake.face.mouth import Mouth, mouth_behind, mouth_picture
+from bake.face.mouth import Mouth, coarser, mouth_behind, mouth_picture
 from bake.face.strip import LEFT_EYE, MOUTH, RIGHT_EYE, StripPart, size_in, uv_in, with_strip
 from bake.face.template import FaceRefused, PersonFace
 from geometry.mesh import vertex_normals
@@ -30,7 +30,7 @@ COARSE = (1.0, 1.6)
 # times that a blink is fitted and kept off the ball: what pushes lids out also parts their edges
 ROUNDS = 3
 # metres: less is no motion, and takes no bytes; the same of what lies behind the lips
-STILL, BEHIND_LIPS = 1.5e-4, 5e-4
+STILL, BEHIND_LIPS = 2e-4, 5e-4
 # metres that the rim of the lids reaches into the ball, and behind the lids
 RIM_IN, RIM_UNDER = 0.0006, 0.0015
 
@@ -109,7 +109,7 @@ def with_face(levels: Sequence[Level], person: PersonFace) -> Faced:
             break
         at = parts.growing.level.positions[parts.upper].astype(np.float64)
         moves = [parts.growing.offsets[:, edge] for edge in (parts.upper, parts.lower)]
-        mouth = mouth_behind(person, at, (moves[0], moves[1]))
+        mouth = mouth_behind(coarser(person) if number else person, at, (moves[0], moves[1]))
         if number == 0:
             for one, center, radius, place in zip(parts.opened, *person.eyes, EYES):
                 axis = eye_axis(one, center)

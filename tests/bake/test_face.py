@@ -16,7 +16,7 @@ from bake.face.eyes import CAP, eye_axis, iris_picture
 from bake.face.face import COARSE, parted, with_face
 from bake.face.features import PIXEL, ROUND, FrontPicture, aligned, brows_off, darkest_off, with_brow
 from bake.face.lips import STEP, lip_line
-from bake.face.mouth import zipped
+from bake.face.mouth import coarser, zipped
 from bake.face.strip import LEFT_EYE, MOUTH, size_in, uv_in, with_strip
 from bake.face.template import FaceRefused, person_face
 from geometry.mesh import face_areas
@@ -73,6 +73,18 @@ def test_two_lines_are_sewn_by_every_edge_of_both_once():
     faces = zipped(np.array([0, 0.4, 0.6, 1]), np.array([0, 0.5, 1]))
     edges = {tuple(sorted(pair)) for face in faces.tolist() for pair in zip(face, face[1:] + face[:1])}
     assert {(0, 1), (1, 2), (2, 3), (4, 5), (5, 6)} <= edges and len(faces) == 5
+
+
+def test_half_of_a_mouth_keeps_its_seam_and_names_its_own_vertices():
+    whole, half = SHEET.person, coarser(SHEET.person)
+    inside = np.unique(half.face.inside)
+    assert np.isin(np.concatenate(half.face.seam), inside).all() and np.isin(inside, whole.face.inside).all()
+    assert len(half.inside) == len(inside) < 0.6 * len(whole.inside)
+    assert len(half.parts) == sum(half.face.part_counts) < 0.6 * len(whole.parts)
+    assert half.face.part_faces.max() == len(half.parts) - 1
+    # teeth and tongue stay apart
+    part = np.repeat(np.arange(3), half.face.part_counts)[half.face.part_faces]
+    assert (part == part[:, :1]).all() and half.face.offsets.shape[1] - 13380 == len(half.parts)
 
 
 def test_lips_touch_at_rest_and_part_between_their_corners_when_the_jaw_opens():
