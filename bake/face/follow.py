@@ -16,8 +16,8 @@ from avatar.baked_avatar import Level
 from avatar.face import FaceShapes, Follow, followed
 from bake.skin import quantised
 
-# vertices of the finest level, the nearest, of which four are taken
-NEAREST = 24
+# vertices of the finest level, the nearest, of which four are taken; steps of the search for their weights
+NEAREST, MOST = 24, 1000
 # how much a sum of weights beside 1, and a whole weight of a vertex that lies a metre away or in the same place, count
 # beside a metre of displacement
 SUM, AWAY, ANY = 1.0, 0.02, 2e-5
@@ -52,8 +52,8 @@ def shares(
     count = len(away)
     system = np.r_[moves.transpose(0, 2, 1).reshape(-1, count), np.full((1, count), SUM), np.diag(AWAY * away + ANY)]
     target = np.r_[wanted.reshape(-1), SUM, np.zeros(count)].astype(np.float64)
-    found = nnls(system, target)[0]
+    found = nnls(system, target, maxiter=MOST)[0]
     four = np.argsort(-found, kind="stable")[:4]
     out = np.zeros(len(found))
-    out[four] = nnls(system[:, four], target)[0]
+    out[four] = nnls(system[:, four], target, maxiter=MOST)[0]
     return out
