@@ -16,7 +16,7 @@ from jaxtyping import Float, Float32, UInt8, UInt32
 from numpy import ndarray as Array
 
 from avatar.bend import BEND_JOINTS, BENDS
-from avatar.face import SHAPES, SIDES, Eye, FaceShapes
+from avatar.face import SHAPES, SIDES, Eye, FaceShapes, followed
 from avatar.helper_joints import BONES, CARRIER
 from avatar.light import CaptureLight
 from avatar.skeleton import JOINT_NUMBERS, JOINTS
@@ -221,6 +221,9 @@ def _check_eyes(avatar: Avatar) -> None:
     faces = [level.face for level in avatar.levels]
     if (avatar.eyes is not None) != any(face is not None for face in faces):
         raise ValueError("eyes should be there where a level has a face, and only there")
+    for number, face in enumerate(faces):
+        if face is not None and face.follow is not None:
+            _check_follow(face, avatar.levels[0], f"levels[{number}].face.follow")
     for side, eye in zip(SIDES, avatar.eyes or (), strict=False):
         for name, values in (("center", eye.center), ("axis", eye.axis)):
             _check_array(values, f"eyes.{side}.{name}", values.dtype.name, (3,))
@@ -228,6 +231,20 @@ def _check_eyes(avatar: Avatar) -> None:
             raise ValueError(f"eyes.{side}.axis should be of unit length, is {eye.axis.tolist()}")
         if not 1e-3 <= eye.radius <= 1:
             raise ValueError(f"eyes.{side}.radius should be from .001 to 1 m, is {eye.radius}")
+
+
+def _check_follow(face: FaceShapes, finest: Level, where: str) -> None:
+    assert face.follow is not None, "asked of levels that follow"
+    if finest.face is None or finest.face.follow is not None:
+        raise ValueError(f"{where} should be below a finest level with a face of its own, is not")
+    rows, (sources, weights) = (len(face.vertices), 4), (face.follow.sources, face.follow.weights)
+    _check_array(sources, f"{where}.sources", "uint32", rows)
+    _check_array(weights, f"{where}.weights", "uint8", rows)
+    count = len(finest.positions)
+    _check_rows(sources.max(axis=1) < count, f"{where}.sources", f"below {count}", sources)
+    _check_rows(weights.sum(axis=1, dtype=int) == 255, f"{where}.weights", "a sum of 255", weights)
+    off = np.abs(face.offsets - followed(finest.face, face.follow)).max(axis=(1, 2))
+    _check_rows(off < 1e-6, f"{where}", "what the offsets are", off)
 
 
 def _check_twist(twist: TwistSkin, joints: Array, weights: Array, where: str) -> None:

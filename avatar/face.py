@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt32
+from jaxtyping import Float, Float32, UInt8, UInt32
 from numpy import ndarray as Array
 
 SIDES = ("left", "right")
@@ -45,6 +45,14 @@ class Eye:
 
 
 @dataclass(frozen=True)
+class Follow:
+    """Vertices that move as a mean of vertices of the finest level does."""
+
+    sources: UInt32[Array, "moving 4"]
+    weights: UInt8[Array, "moving 4"]  # rows sum to 255
+
+
+@dataclass(frozen=True)
 class FaceShapes:
     """What of one level the face moves.
 
@@ -55,6 +63,19 @@ class FaceShapes:
     offsets: Float32[Array, "52 moving 3"]  # at a weight of 1
     # first vertex and count of the left and of the right ball
     balls: UInt32[Array, "2 2"]
+    # of a level below the finest, whose offsets are then those of its sources; None: they are its own
+    follow: Follow | None = None
+
+
+def followed(finest: FaceShapes, follow: Follow) -> Float32[Array, "52 moving 3"]:
+    """The offsets of vertices that follow those of the finest level."""
+    at = np.minimum(np.searchsorted(finest.vertices, follow.sources), len(finest.vertices) - 1)
+    # what no shape of the finest level moves counts as still
+    weights = np.where(finest.vertices[at] == follow.sources, follow.weights, 0) / np.float32(255)
+    offsets = np.zeros((len(SHAPES), len(at), 3), np.float32)
+    for k in range(4):
+        offsets += weights[:, k, None] * finest.offsets[:, at[:, k]]
+    return offsets
 
 
 @dataclass(frozen=True)

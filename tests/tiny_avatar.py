@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from avatar.body import builtin_body
-from avatar.face import Eye, FaceShapes
+from avatar.face import Eye, FaceShapes, Follow, followed
 from avatar.gltf.avatar_file import Avatar, Level, ViewNetwork
 from avatar.skeleton import BIG_POSE
 
@@ -59,7 +59,8 @@ def tiny_avatar(seed=0, **changes) -> Avatar:
 
 
 def tiny_face(seed=0, **changes) -> Avatar:
-    """One whose first level has a face of a few vertices: of its 12, two and two are the eyes' balls."""
+    """One whose first level has a face of a few vertices: of its 12, two and two are the eyes' balls. One vertex of the
+    second follows them."""
     rng = np.random.default_rng(seed)
     level = tiny_level(1, vertices=12)
     joints, weights = level.joints.copy(), level.weights.copy()
@@ -70,7 +71,11 @@ def tiny_face(seed=0, **changes) -> Avatar:
     offsets[0], offsets[-1] = 0.01, 0
     face = FaceShapes(np.array([0, 3, 7], np.uint32), offsets, np.array([[8, 2], [10, 2]], np.uint32))
     eyes = [Eye(rng.normal(size=3), np.array([0.0, 0.6, 0.8]), 0.012) for _ in range(2)]
-    levels = (replace(level, joints=joints, weights=weights, face=face), tiny_level(2, vertices=5, faces=3, size=2))
+    follow = Follow(np.array([[7, 0, 3, 1]], np.uint32), np.array([[100, 100, 50, 5]], np.uint8))
+    below = FaceShapes(np.array([4], np.uint32), followed(face, follow), np.array([[0, 2], [2, 2]], np.uint32), follow)
+    second = tiny_level(2, vertices=5, faces=3, size=2)
+    second.joints[:4], second.weights[:4] = [15, 0, 0, 0], [255, 0, 0, 0]
+    levels = (replace(level, joints=joints, weights=weights, face=face), replace(second, face=below))
     return tiny_avatar(seed, levels=levels, eyes=tuple(eyes), **changes)
 
 

@@ -183,7 +183,8 @@ def _read_levels(
             arrays["base_color"] = base_color.result()
             fields: JsonObject = {**arrays, "features": None if features is None else features.result()}
             helpers = (HELPER_JOINTS if bent else TWIST_JOINTS) if twisted else ()
-            fields["face"] = read_face(gltf, items[i], arrays, len(JOINTS) + len(helpers), f"{where}[{i}]")
+            finest = levels[0].face if levels else None
+            fields["face"] = read_face(gltf, items[i], arrays, len(JOINTS) + len(helpers), finest, f"{where}[{i}]")
             if twisted:
                 fields["twist"] = _twist_skin(gltf, mesh, arrays)
                 fields["joints"], fields["weights"] = fields["twist"].folded()

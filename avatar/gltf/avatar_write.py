@@ -8,7 +8,16 @@ from jaxtyping import Float, Int
 
 from avatar.baked_avatar import Avatar, Level, check_avatar
 from avatar.face import SHAPES
-from avatar.gltf.face import EYE_JOINTS, HEAD, add_targets, bound_to_eyes, eye_offsets, eyes_json, with_eyes
+from avatar.gltf.face import (
+    EYE_JOINTS,
+    HEAD,
+    add_follow,
+    add_targets,
+    bound_to_eyes,
+    eye_offsets,
+    eyes_json,
+    with_eyes,
+)
 from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
 from avatar.helper_joints import CARRIER, HelperJoints
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
@@ -88,8 +97,11 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         meshes.append({"name": name, "primitives": [primitive]})
         levels.append({"mesh": i})
         if level.face is not None:
-            primitive["targets"] = add_targets(builder, level, level.face)
-            meshes[i] |= {"weights": [0] * len(SHAPES), "extras": {"targetNames": list(SHAPES)}}
+            if level.face.follow is None:
+                primitive["targets"] = add_targets(builder, level, level.face)
+                meshes[i] |= {"weights": [0] * len(SHAPES), "extras": {"targetNames": list(SHAPES)}}
+            else:
+                levels[i]["follow"] = add_follow(builder, level.face, level.face.follow)
             levels[i]["balls"] = [int(number) for number in level.face.balls.reshape(-1)]
         if level.features is not None:
             planes = np.concatenate(np.moveaxis(level.features, -1, 0))  # (4 h, w)

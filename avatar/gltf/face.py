@@ -1,6 +1,7 @@
-"""The face in an avatar file. Its shapes are morph targets of each level's mesh, named as ARKit names them; the eyes'
-balls are bound to two joints under the head, after all others, which stand at the balls' centers. SELFSCAN_avatar says
-which vertices the balls are and how the eyes look. docs/avatar-format.md describes the bytes.
+"""The face in an avatar file. Its shapes are morph targets of the finest mesh, named as ARKit names them, and vertices
+of coarser meshes follow its own. The eyes' balls are bound to two joints under the head, after all others, which
+stand at the balls' centers. SELFSCAN_avatar says which vertices the balls are and how the eyes look.
+docs/avatar-format.md describes the bytes.
 """
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.baked_avatar import MOST_MOVING, Avatar, Level
-from avatar.face import SHAPES, SIDES, Eye, FaceShapes
+from avatar.face import SHAPES, SIDES, Eye, FaceShapes, Follow, followed
 from avatar.gltf.document import Gltf
 from avatar.gltf.scene import primitives
 from avatar.gltf.write import GltfBuilder
@@ -63,6 +64,16 @@ def add_targets(builder: GltfBuilder, level: Level, face: FaceShapes) -> list[Js
     return targets
 
 
+def add_follow(builder: GltfBuilder, face: FaceShapes, follow: Follow) -> JsonObject:
+    """Which vertices of a level follow which of the finest one."""
+    small = max(int(face.vertices.max()), int(follow.sources.max())) < 1 << 16
+    arrays = {"vertices": face.vertices, "sources": follow.sources, "weights": follow.weights}
+    return {
+        name: builder.add_accessor(values.astype(np.uint16) if small and values.itemsize > 1 else values)
+        for name, values in arrays.items()
+    }
+
+
 def read_eyes(gltf: Gltf, extension: JsonObject, where: str) -> tuple[Eye, Eye] | None:
     """The eyes that the extension describes; None: the file has no face."""
     if "face" not in extension:
@@ -82,7 +93,9 @@ def read_eyes(gltf: Gltf, extension: JsonObject, where: str) -> tuple[Eye, Eye] 
     return eyes[0], eyes[1]
 
 
-def read_face(gltf: Gltf, item: JsonObject, arrays: dict[str, Array], first: int, where: str) -> FaceShapes | None:
+def read_face(
+    gltf: Gltf, item: JsonObject, arrays: dict[str, Array], first: int, finest: FaceShapes | None, where: str
+) -> FaceShapes | None:
     """The face of a level, and its balls' joints in `arrays` folded to the head; None: it stays still.
 
     first: the number of the left eye's bone.
@@ -101,6 +114,8 @@ def read_face(gltf: Gltf, item: JsonObject, arrays: dict[str, Array], first: int
     balls = balls.astype(np.uint32)
     _fold_to_head(gltf, arrays, balls.astype(int), first, f"meshes[{mesh}].primitives[0].JOINTS_0")
 
+    if "follow" in item:
+        return _read_follow(gltf, item["follow"], balls, finest, f"{where}.follow")
     extras, targets = gltf.items("meshes")[mesh].get("extras"), primitives(gltf, mesh)[0].get("targets")
     names = extras.get("targetNames") if isinstance(extras, dict) else None
     if names != list(SHAPES):
@@ -124,6 +139,23 @@ def read_face(gltf: Gltf, item: JsonObject, arrays: dict[str, Array], first: int
     for shape, moved, by in zip(offsets, rows, values, strict=True):
         shape[np.searchsorted(vertices, moved)] = by
     return FaceShapes(vertices.astype(np.uint32), offsets, balls)
+
+
+def _read_follow(gltf: Gltf, item: object, balls: Array, finest: FaceShapes | None, where: str) -> FaceShapes:
+    """The face of a level below the finest one."""
+    if not isinstance(item, dict) or finest is None:
+        raise gltf.error(where, "an object, of a level below a finest one with a face", item)
+    vertices, sources, weights = (
+        gltf.accessor(item.get(name), field=f"{where}.{name}") for name in ("vertices", "sources", "weights")
+    )
+    count = len(vertices)
+    if count > MOST_MOVING or (vertices.shape, sources.shape, weights.shape) != ((count,), (count, 4), (count, 4)):
+        rows = f"at most {MOST_MOVING} rows of one vertex, four sources and four weights"
+        raise gltf.error(where, rows, (vertices.shape, sources.shape, weights.shape))
+    if any(values.dtype.kind != "u" for values in (vertices, sources)) or weights.dtype != np.uint8:
+        raise gltf.error(where, "whole numbers, weights of a byte", (vertices.dtype.name, weights.dtype.name))
+    follow = Follow(sources.astype(np.uint32), weights)
+    return FaceShapes(vertices.astype(np.uint32), followed(finest, follow), balls, follow)
 
 
 def _fold_to_head(gltf: Gltf, arrays: dict[str, Array], balls: Array, first: int, where: str) -> None:

@@ -31,7 +31,7 @@ LONGEST = 0.0025
 PAINTED = np.array([1.2, 1.25])
 # radians from the axis to the edge of the cap: seen through the lids when it turns by 20 degrees
 CAP = np.radians(105.0)
-RINGS, SPOKES = 14, 32
+RINGS, SPOKES = 8, 24
 # metres: the cap lies so far within the filmed ball
 WITHIN = 0.0001
 # radians from the lids' edge within which a picture shows lids and lashes; over which what was seen fades into the fill
@@ -53,14 +53,17 @@ class OpenEye(NamedTuple):
     ball: Integer[Array, "faces 3"]  # by the level's vertices
 
 
-def cut_ball(level: Level, person: PersonFace, center: Float[Array, "3"], radius: float) -> OpenEye:
-    """Cut the ball's side of a level away, where it is as near to the ball as to the template's lids.
+def cut_ball(
+    level: Level, person: PersonFace, center: Float[Array, "3"], radius: float, coarse: float = 1.0
+) -> OpenEye:
+    """Cut the ball's side of a level away, where it is as near to the ball as to the template's lids; edges beside a
+    painted eye may be `coarse` times as long.
 
     Raises:
         FaceRefused: there is no ball between the lids, or its edge is no loop.
     """
     if not person.filmed:
-        level = refined(level, lambda points: np.linalg.norm(points - center, axis=1) < 1.7 * radius, LONGEST)
+        level = refined(level, lambda points: np.linalg.norm(points - center, axis=1) < 1.7 * radius, coarse * LONGEST)
     points, faces = level.positions.astype(np.float64), level.faces.astype(np.int64)
     offset = points - center
     away = np.abs(np.linalg.norm(offset, axis=1) - radius)
@@ -139,9 +142,10 @@ class Cap(NamedTuple):
     faces: Integer[Array, "faces 3"]
 
 
-def cap(axis: Float[Array, "3"]) -> Cap:
-    """CAP round an axis."""
-    v, u = np.meshgrid(np.linspace(0, 1, RINGS + 1), np.linspace(0, 1, SPOKES + 1), indexing="ij")
+def cap(axis: Float[Array, "3"], coarse: float = 1.0) -> Cap:
+    """CAP round an axis, its quads `coarse` times as long."""
+    rings, spokes = (round(count / coarse) for count in (RINGS, SPOKES))
+    v, u = np.meshgrid(np.linspace(0, 1, rings + 1), np.linspace(0, 1, spokes + 1), indexing="ij")
     number = np.arange(u.size).reshape(u.shape)
     a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     faces = np.concatenate([np.stack([a, b, c], -1)[:].reshape(-1, 3), np.stack([a, c, d], -1)[1:].reshape(-1, 3)])

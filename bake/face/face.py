@@ -16,20 +16,21 @@ from avatar.texture import bytes_of
 from bake.face.blink import LIDS, fitted_blink, outside, pushed_out
 from bake.face.carry import carried
 from bake.face.cut import MEANS, joined
-from bake.face.eyes import WITHIN, OpenEye, cap, cut_ball, eye_axis, iris_picture
+from bake.face.eyes import WITHIN, Cap, OpenEye, cap, cut_ball, eye_axis, iris_picture
 from bake.face.features import aligned
+from bake.face.follow import following
 from bake.face.lips import LipLine, cut_lips, lip_line
-from bake.face.mouth import Mouth, mouth_behind, mouth_picture
+from bake.face.mouth import Mouth, coarser, mouth_behind, mouth_picture
 from bake.face.strip import LEFT_EYE, MOUTH, RIGHT_EYE, StripPart, size_in, uv_in, with_strip
 from bake.face.template import FaceRefused, PersonFace
 from geometry.mesh import vertex_normals
 
-# levels, from the finest on, whose triangles are fine enough for lips and lids
-LEVELS = 2
+# levels, from the finest on, whose triangles are fine enough for lips and lids: how much longer edges are there
+COARSE = (1.0, 1.6)
 # times that a blink is fitted and kept off the ball: what pushes lids out also parts their edges
 ROUNDS = 3
-# metres: less is no motion, and takes no bytes
-STILL = 1e-4
+# metres: less is no motion, and takes no bytes; the same of what lies behind the lips
+STILL, BEHIND_LIPS = 2e-4, 5e-4
 # metres that the rim of the lids reaches into the ball, and behind the lids
 RIM_IN, RIM_UNDER = 0.0006, 0.0015
 
@@ -74,6 +75,9 @@ class Faced(NamedTuple):
     eyes: tuple[Eye, Eye]
 
 
+Pictures = dict[StripPart, Float[Array, "height width 3"]]
+
+
 class Parted(NamedTuple):
     """A level whose lips are parted and whose sockets are open, still without what belongs there."""
 
@@ -84,28 +88,28 @@ class Parted(NamedTuple):
 
 
 def with_face(levels: Sequence[Level], person: PersonFace) -> Faced:
-    """The levels of a finished avatar, finest first, LEVELS of them with a face.
+    """The levels of a finished avatar, finest first, as many of them with a face as COARSE has.
 
     Raises:
         FaceRefused: this surface takes none; the sentence says why.
     """
     person = aligned(person, levels[0])
     line, out = lip_line(person), list(levels)
-    pictures: dict[StripPart, Float[Array, "height width 3"]] = {}
+    pictures: Pictures = {}
     eyes: list[Eye] = []
-    for number, level in enumerate(levels[:LEVELS]):
+    for number, (level, coarse) in enumerate(zip(levels, COARSE, strict=False)):
         texels = len(level.base_color)
         try:
             if texels < SMALLEST:
                 raise FaceRefused(f"its atlas of {texels} texels a side has no room for it")
-            parts = parted(level, person, line)
+            parts = parted(level, person, line, coarse)
         except FaceRefused:
             if number == 0:
                 raise
             break
         at = parts.growing.level.positions[parts.upper].astype(np.float64)
         moves = [parts.growing.offsets[:, edge] for edge in (parts.upper, parts.lower)]
-        mouth = mouth_behind(person, at, (moves[0], moves[1]))
+        mouth = mouth_behind(coarser(person) if number else person, at, (moves[0], moves[1]))
         if number == 0:
             for one, center, radius, place in zip(parts.opened, *person.eyes, EYES):
                 axis = eye_axis(one, center)
@@ -113,16 +117,17 @@ def with_face(levels: Sequence[Level], person: PersonFace) -> Faced:
                 eyes.append(Eye(center, axis, float(radius) - WITHIN))
             pictures[MOUTH] = mouth_picture(person, mouth, size_in(MOUTH, texels))
         own = {place: resized(picture, size_in(place, texels)) for place, picture in pictures.items()}
-        out[number] = joined_face(parts, mouth, eyes, own)
+        grown = joined_face(parts, mouth, [(eye, cap(eye.axis, coarse)) for eye in eyes], own)
+        out[number] = following(out[0], grown) if number else grown
     return Faced(out, (eyes[0], eyes[1]))
 
 
-def parted(level: Level, person: PersonFace, line: LipLine) -> Parted:
+def parted(level: Level, person: PersonFace, line: LipLine, coarse: float = 1.0) -> Parted:
     """A level cut at lips and eyes, its shapes carried from the template and fitted to its eyes."""
-    cut = cut_lips(level, line)
+    cut = cut_lips(level, line, coarse)
     level, opened = cut.level, []
     for center, radius in zip(*person.eyes):
-        opened.append(cut_ball(level, person, center, float(radius)))
+        opened.append(cut_ball(level, person, center, float(radius), coarse))
         level = opened[-1].level
     lip = np.r_[cut.lip, np.zeros(len(level.positions) - len(cut.lip), np.int64)]
     offsets = carried(level, person, line, lip, flat=not person.filmed)
@@ -142,13 +147,11 @@ def parted(level: Level, person: PersonFace, line: LipLine) -> Parted:
     return Parted(grown, (opened[0], opened[1]), cut.upper, cut.lower)
 
 
-def joined_face(
-    parts: Parted, mouth: Mouth, eyes: Sequence[Eye], pictures: dict[StripPart, Float[Array, "height width 3"]]
-) -> Level:
+def joined_face(parts: Parted, mouth: Mouth, eyes: Sequence[tuple[Eye, Cap]], pictures: Pictures) -> Level:
     """A level with its lids' rims, mouth and balls, and with the record of what moves."""
     growing, texels = parts.growing, len(parts.growing.level.base_color)
     growing = growing._replace(level=with_strip(growing.level, pictures))
-    for one, eye in zip(parts.opened, eyes):
+    for one, (eye, _) in zip(parts.opened, eyes):
         growing = with_rim(growing, one.edge, eye)
     growing = growing.with_geometry(
         mouth.points,
@@ -158,8 +161,9 @@ def joined_face(
         parts.upper,
     )
     balls, still = [], np.unique(growing.level.faces)
-    for one, eye, place in zip(parts.opened, eyes, EYES):
-        ball = cap(eye.axis)
+    least = np.full(len(growing.level.positions), STILL)
+    least[-len(mouth.points) + 2 * len(parts.upper) :] = BEHIND_LIPS
+    for one, (eye, ball), place in zip(parts.opened, eyes, EYES):
         balls.append([len(growing.level.positions), len(ball.uv)])
         offsets = np.zeros((len(SHAPES), len(ball.uv), 3), np.float32)
         at = eye.center + eye.radius * ball.directions
@@ -168,7 +172,8 @@ def joined_face(
     kept = np.r_[still, np.arange(balls[0][0], len(growing.level.positions))]
     level = only(growing.level, kept)
     offsets = growing.offsets[:, kept]
-    offsets = np.where(np.linalg.norm(offsets, axis=2, keepdims=True) > STILL, offsets, np.float32(0))
+    least = np.r_[least, np.full(len(growing.level.positions) - len(least), STILL)][kept, None]
+    offsets = np.where(np.linalg.norm(offsets, axis=2, keepdims=True) > least, offsets, np.float32(0))
     vertices = np.flatnonzero(offsets.any((0, 2)))
     first = np.array(balls) - [[balls[0][0] - len(still), 0]]
     face = FaceShapes(vertices.astype(np.uint32), offsets[:, vertices], first.astype(np.uint32))

@@ -1,8 +1,9 @@
-"""Where the picture of a face has what its template has elsewhere: the line between the lips, and the irises.
+"""Where the picture of a face has what its template has elsewhere: the line between the lips, the irises, the brows.
 
 Registration follows surface, and outlines say nothing of a mouth: a template's lips are some millimetres off those in
 the picture, its eyes as well where they were not measured. The line between closed lips is the darkest way across the
-mouth; an iris is a dark disc with white to both sides. The template is moved to them, as a whole near each.
+mouth; an iris is a dark disc with white to both sides; a brow is a dark band over an eye. The template is moved to
+them, as a whole near each.
 """
 
 from typing import NamedTuple
@@ -19,14 +20,20 @@ from avatar.texture import sample_texture
 from bake.face.eyes import shows_ball
 from bake.face.lips import lip_line
 from bake.face.template import FaceRefused, PersonFace
+from capture.fit.points import body_points
 from capture.template.eyes import EyeSpheres
 from geometry.mesh import blended
 from geometry.rasterise import rasterise
 
 # metres of a pixel, and to the camera, which is as good as parallel
 PIXEL, FAR = 0.0005, 20.0
-# metres up and down in which the lips' line is sought; it rises by no more than this share of its way
-LIPS, STEEP = 0.009, 1
+# metres up and down in which the lips' line is sought, and over which what is above and below it counts
+LIPS, ROUND = 0.018, 0.0025
+# the same of brows, and metres of their own width; what is less dark beside its surroundings, or lies lower over the
+# middle of the eye, is no brow; nor is what runs along that limit, within ALONG
+BROWS, BROW_ROUND, BROW_WIDE, FAINT, LOWEST, ALONG = 0.010, 0.007, 0.0015, 0.012, 0.0105, 0.0008
+# metres over an eye's middle up to which lids do not move with a brow; beyond it at which nothing does, up and aside
+LID, OVER_BROW, BESIDE_BROW = 0.007, 0.03, 0.012
 # metres to all sides in which an iris is sought, and its radius
 EYES, IRIS = 0.016, 0.0058
 # metres round mouth and eyes that the picture shows; within which they take their surroundings with them
@@ -46,9 +53,10 @@ def aligned(person: PersonFace, level: Level) -> PersonFace:
         FaceRefused: the picture shows no eyes near the template's.
     """
     line, eyes = lip_line(person), person.eyes
-    every = np.concatenate([np.stack(line, 1), eyes.centres])
+    brows = [person.vertices[rows] for rows in brow_vertices()]
+    every = np.concatenate([np.stack(line, 1), eyes.centres, *brows])
     picture = front_picture(level, every.min(0) - BOX, every.max(0) + BOX)
-    up = lips_off(picture, line.x, line.y)
+    up = darkest_off(picture, line.x, line.y, LIPS, (PIXEL, ROUND))[0]
     places = np.stack(line, 1)[:: len(up) // 10]
     moves = np.stack([np.zeros(len(up)), up, np.zeros(len(up))], 1)[:: len(up) // 10]
     filmed = all(shows_ball(level, center, float(radius)) for center, radius in zip(*eyes))
@@ -63,8 +71,12 @@ def aligned(person: PersonFace, level: Level) -> PersonFace:
         near = np.exp(-0.5 * np.square(cdist(points, places) / SPREAD))
         return points + near @ moves / (near.sum(1, keepdims=True) + 0.05)
 
+    vertices = moved(person.vertices)
+    off = brows_off(picture, brows, eyes.centres)
+    for center, brow in zip(eyes.centres, brows):
+        vertices[:, 1] += off * with_brow(vertices, brow, center)
     return person._replace(
-        vertices=moved(person.vertices),
+        vertices=vertices,
         inside=moved(person.inside),
         parts=moved(person.parts),
         eyes=eyes,
@@ -121,16 +133,51 @@ def front_picture(level: Level, low: Float[Array, "3"], high: Float[Array, "3"])
     return FrontPicture(light, places, np.asarray(low[:2], np.float64))
 
 
-def lips_off(picture: FrontPicture, x: Float[Array, "n"], y: Float[Array, "n"]) -> Float[Array, "n"]:
-    """How far above the line x, y the darkest way across the mouth lies; x rises."""
-    light = ndimage.gaussian_filter(np.nan_to_num(picture.light, nan=1.0), 1.0)
+def brow_vertices() -> tuple[list[int], list[int]]:
+    """Vertices of the body along the left and the right brow, from right to left."""
+    points = body_points()
+    left, right = ([int(points[f"face_{k}"].vertices[0]) for k in range(first, first + 5)] for first in (22, 17))
+    return left, right
+
+
+def brows_off(picture: FrontPicture, brows: list[Float[Array, "5 3"]], eyes: Float[Array, "2 3"]) -> float:
+    """How far above the template's brows those of the picture lie, metres; 0 where it does not show both alike."""
+    found = []
+    for brow, eye in zip(brows, eyes):
+        off, dark = darkest_off(picture, brow[:, 0], brow[:, 1], BROWS, (BROW_WIDE, BROW_ROUND), eye[1] + LOWEST)
+        if dark > -FAINT or (brow[:, 1] + off).mean() < eye[1] + LOWEST + ALONG:
+            return 0.0
+        found.append(float(off.mean()))
+    return float(np.mean(found)) if abs(found[0] - found[1]) < ALIKE else 0.0
+
+
+def with_brow(points: Float[Array, "n 3"], brow: Float[Array, "5 3"], eye: Float[Array, "3"]) -> Float[Array, "n"]:
+    """The share of a brow's motion that skin takes: all of it at the brow, none at the lids and far beside."""
+    x, y, z = points.T
+    height = np.interp(x, brow[:, 0], brow[:, 1])
+    over = np.where(y < height, (y - eye[1] - LID) / (height - eye[1] - LID), 1 - (y - height) / OVER_BROW)
+    aside = np.maximum(np.maximum(brow[0, 0] - x, x - brow[-1, 0]), 0)
+    share = np.clip(over, 0, 1) * np.clip(1 - aside / BESIDE_BROW, 0, 1) * (z > eye[2])
+    return share * share * (3 - 2 * share)
+
+
+def darkest_off(
+    picture: FrontPicture, x: Float[Array, "n"], y: Float[Array, "n"], reach_m: float, widths: tuple[float, float],
+    lowest: float = -np.inf,
+) -> tuple[Float[Array, "n"], float]:  # fmt: skip
+    """How far above the line x, y, within `reach_m` and above `lowest`, the way across lies that is darkest beside what
+    is above and below it, and by how much; x rises. `widths`: of the way and of what it is compared with. A lip that is
+    darker than the other one as a whole is no line."""
+    light = np.nan_to_num(picture.light, nan=1.0)
+    narrow, wide = (width / PIXEL for width in widths)
+    light = ndimage.gaussian_filter(light, narrow) - ndimage.gaussian_filter(light, (wide, narrow))
     first, last = picture.column(x[[0, -1]])
     columns = np.arange(int(np.ceil(first)), int(last) + 1)
     line = picture.row(np.interp(picture.low[0] + PIXEL * columns, x, y))
-    reach = int(LIPS / PIXEL)
+    reach = int(reach_m / PIXEL)
     steps = np.arange(-reach, reach + 1)
     rows = np.clip(np.round(line[:, None] + steps).astype(np.int64), 0, len(light) - 1)
-    cost = light[rows, columns[:, None]] + STRAY * np.abs(steps)
+    cost = light[rows, columns[:, None]] + STRAY * np.abs(steps) + (rows > picture.row(np.array([lowest])))
     total, came = cost[0], np.zeros(cost.shape, np.int64)
     for k in range(1, len(columns)):
         tried = np.stack([np.roll(total, s) + BEND * abs(s) for s in (-1, 0, 1)])
@@ -140,8 +187,10 @@ def lips_off(picture: FrontPicture, x: Float[Array, "n"], y: Float[Array, "n"]) 
     way = [int(total.argmin())]
     for k in range(len(columns) - 1, 0, -1):
         way.append(way[-1] - int(came[k, way[-1]]))
-    off = -PIXEL * ndimage.gaussian_filter1d(steps[np.array(way[::-1])].astype(np.float64), 6.0)
-    return np.interp(x, picture.low[0] + PIXEL * columns, off)
+    way = np.array(way[::-1])
+    off = -PIXEL * ndimage.gaussian_filter1d(steps[way].astype(np.float64), 6.0)
+    dark = float(light[rows[np.arange(len(way)), way], columns].mean())
+    return np.interp(x, picture.low[0] + PIXEL * columns, off), dark
 
 
 def irises_at(picture: FrontPicture, centers: Float[Array, "2 3"]) -> Float[Array, "2 3"]:

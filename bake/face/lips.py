@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from avatar.baked_avatar import Level
 from bake.face.cut import chains, cut_along, extended, places, refined
 from bake.face.template import FaceRefused, PersonFace
-from geometry.mesh import half_edges
+from geometry.mesh import area_normals, half_edges
 
 # metres: the line is smoothed over so much of its length; no vertex farther off it is of a lip
 KERNEL, LIPS = 0.002, 0.015
@@ -20,8 +20,8 @@ DEEP = 0.018
 SHORT = 0.0005
 # metres from the line within which edges are made no longer than this
 FINE, LONGEST = 0.003, 0.002
-# vertices of a cut: fewer open as a wedge
-LEAST = 12
+# vertices of a cut: fewer open as a wedge; metres between two of them below which one will do
+LEAST, STEP = 12, 0.0009
 STEPS = 200
 
 
@@ -74,14 +74,14 @@ class CutLips(NamedTuple):
     lower: Integer[Array, "n"]
 
 
-def cut_lips(level: Level, line: LipLine) -> CutLips:
+def cut_lips(level: Level, line: LipLine, coarse: float = 1.0) -> CutLips:
     """Divide the triangles along the line between the lips; the vertices of the lower lip along it are those of the
-    upper one over again.
+    upper one over again. Edges at the line may be `coarse` times as long.
 
     Raises:
         FaceRefused: the line does not cut the surface in one go.
     """
-    level = refined(level, lambda points: line.away(points) < FINE, LONGEST)
+    level = refined(level, lambda points: line.away(points) < FINE, coarse * LONGEST)
     points, faces = level.positions.astype(np.float64), level.faces.astype(np.int64)
     above, near = line.above(points), line.away(points) < LIPS
     # one on the line would leave triangles without area
@@ -100,6 +100,10 @@ def cut_lips(level: Level, line: LipLine) -> CutLips:
         pieces = ", ".join(str(len(piece)) for piece in found[:4])
         raise FaceRefused(f"its lips should be cut along one line of {LEAST} vertices or more, are along {pieces or 0}")
     chain = found[0]
+    thin = thinned(grown.positions.astype(np.float64), cut.faces, chain, np.r_[np.full(count, -1), place])
+    cut, chain = cut._replace(faces=thin[cut.faces]), chain[np.isin(chain, place[thin[count:] - count])]
+    flat = (np.roll(cut.faces, 1, 1) == cut.faces).any(1)
+    cut = cut._replace(faces=cut.faces[~flat], side=cut.side[~flat])
     upper = count + np.array([int(np.argmax(place == at)) for at in chain])
     if grown.positions[upper[0], 0] > grown.positions[upper[-1], 0]:
         upper, chain = upper[::-1], chain[::-1]
@@ -114,3 +118,34 @@ def cut_lips(level: Level, line: LipLine) -> CutLips:
     lip[:count] = np.where(near & between_corners, np.sign(above), 0)
     lip[count + twice], lip[count + len(place) :] = 1, -1
     return CutLips(replace(grown, faces=faces.astype(np.uint32)), lip, upper, twin[upper])
+
+
+def thinned(
+    points: Float[Array, "n 3"], faces: Integer[Array, "faces 3"], chain: Integer[Array, "k"],
+    place: Integer[Array, "n"],
+) -> Integer[Array, "n"]:  # fmt: skip
+    """For each vertex the one that stands for it: of those along a cut, whose places are `chain`, one that lies within
+    STEP of the last one that was kept is drawn onto it, if in each chart an edge leads there and no face turns over.
+
+    `place`: of each vertex along the cut, -1 elsewhere.
+    """
+    stands_for, kept = np.arange(len(points)), int(chain[0])
+    at = {int(number): np.flatnonzero(place == number) for number in chain}
+    for number in chain[1:-1].tolist():
+        own, onto = at[number], at[kept]
+        trial = stands_for.copy()
+        near = np.linalg.norm(points[own[0]] - points[onto[0]]) < STEP
+        now = stands_for[faces[np.isin(stands_for[faces], own).any(1)]]
+        pairs = {tuple(sorted(pair)) for pair in half_edges(now).tolist()}
+        leads = [[to for to in onto.tolist() if (min(one, to), max(one, to)) in pairs] for one in own.tolist()]
+        if near and all(len(to) == 1 for to in leads):
+            trial[own] = [to[0] for to in leads]
+            after = trial[now]
+            whole = (np.roll(after, 1, 1) != after).all(1)
+            before, turned = area_normals(points, now[whole]), area_normals(points, after[whole])
+            lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(turned, axis=1)
+            if ((before * turned).sum(1) > 0.5 * lengths).all():
+                stands_for = trial
+                continue
+        kept = number
+    return stands_for

@@ -4,8 +4,10 @@ The inside is sewn to the lips, vertex by vertex, so that no shape can open a ga
 no video shows it. Light falls off with the depth behind the lips.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
+import fast_simplification
 import numpy as np
 from jaxtyping import Float, Float32, Integer
 from numpy import ndarray as Array
@@ -27,6 +29,8 @@ FLESH, DEEP, GUM, TONGUE = (150, 78, 72), (30, 9, 10), (166, 88, 86), (172, 92, 
 TOOTH, NECK, GAP = (236, 226, 210), (222, 204, 180), (140, 108, 94)
 # metres behind the lips up to which it is light, and in which light then falls by a factor of e; the least light
 LIT, DARK, NIGHT = 0.007, 0.014, 0.12
+# u of the template's picture, and of this one: teeth have details, the walls are smooth
+THEIRS, OURS = (0.0, 0.4, 0.8, 1.0), (0.0, 0.14, 0.86, 1.0)
 # where a tooth ends on the way from the outer gum to the inner one; widths of teeth along half an arch, mm
 CROWN, EDGE = 0.36, 2 / 3
 UPPER_WIDTHS, LOWER_WIDTHS = (8.6, 6.8, 7.8, 7.0, 7.0, 10.0), (5.3, 5.9, 6.9, 7.0, 7.2, 11.0)
@@ -61,12 +65,51 @@ def mouth_behind(
         faces += [strip, strip[:, ::-1]]
     faces.append(face.part_faces + 2 * k + len(inside))
     offsets = [*moves, (places[:, 1:] - places[:, :1]).transpose(1, 0, 2), face.offsets[:, BODY:]]
+    places_uv = np.concatenate([*uv, face.inside_uv, face.part_uv]).astype(np.float64)
     return Mouth(
         np.concatenate([upper, upper, places[:, 0], parts]),
         np.concatenate(offsets, 1).astype(np.float32),
-        np.concatenate([*uv, face.inside_uv, face.part_uv]).astype(np.float64),
+        np.c_[np.interp(places_uv[:, 0], THEIRS, OURS), places_uv[:, 1]],
         np.concatenate(faces),
     )
+
+
+def coarser(person: PersonFace) -> PersonFace:
+    """The face with half of the vertices behind the lips; the seam keeps its own."""
+    face, inside = person.face, np.unique(person.face.inside)
+    where = np.full(BODY, -1)
+    where[inside] = np.arange(len(inside))
+    left, faces = fewer(person.inside, where[face.inside], where[np.unique(np.concatenate(face.seam))])
+    parts, part_faces = fewer(person.parts, face.part_faces, np.zeros(0, np.int64))
+    upper, lower, tongue = np.histogram(parts, np.r_[0, np.cumsum(face.part_counts)])[0].tolist()
+    own = replace(
+        face, inside=inside[left[faces]], inside_uv=face.inside_uv[left], parts=face.parts[parts],
+        part_faces=part_faces, part_uv=face.part_uv[parts], part_counts=(upper, lower, tongue),
+        offsets=np.concatenate([face.offsets[:, :BODY], face.offsets[:, BODY + parts]], 1),
+    )  # fmt: skip
+    return person._replace(face=own, inside=person.inside[left], parts=person.parts[parts])
+
+
+def fewer(
+    points: Float[Array, "n 3"], faces: Integer[Array, "faces 3"], pinned: Integer[Array, "k"]
+) -> tuple[Integer[Array, "left"], Integer[Array, "less 3"]]:
+    """Half of the vertices of a mesh, the pinned among them, ascending, and the triangles between these.
+
+    Each stands for those that quadric collapse (geometry/decimate.py) draws together: the one nearest to their place.
+    """
+    flat, small = points.astype(np.float32), faces.astype(np.int32)
+    collapses = fast_simplification.simplify(flat, small, target_reduction=0.5, return_collapses=True)[2]
+    places, _, place = fast_simplification.replay_simplification(flat, small, collapses)
+    away = np.linalg.norm(points - places[place], axis=1)
+    away[pinned] = -1
+    order = np.lexsort([away, place])
+    first = order[np.unique(place[order], return_index=True)[1]]
+    stands_for = first[place]
+    stands_for[pinned] = pinned
+    faces = stands_for[faces]
+    faces = faces[(np.roll(faces, 1, 1) != faces).all(1)]
+    left, numbers = np.unique(faces, return_inverse=True)
+    return left, numbers.reshape(-1, 3)
 
 
 def states(points: Float[Array, "n 3"], offsets: Float32[Array, "52 n 3"]) -> Float[Array, "n 53 3"]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from face_sheet import IRIS, WHITE, face_sheet
+from scipy.spatial import KDTree
 from tiny_avatar import tiny_avatar
 
 from avatar.face import SHAPES
@@ -12,17 +13,17 @@ from avatar.texture import sample_texture
 from bake.bake import _Clock, faced
 from bake.face.cut import chains, cut_along, divided_faces
 from bake.face.eyes import CAP, eye_axis, iris_picture
-from bake.face.face import parted, with_face
-from bake.face.features import aligned
-from bake.face.lips import lip_line
-from bake.face.mouth import zipped
+from bake.face.face import COARSE, parted, with_face
+from bake.face.features import PIXEL, ROUND, FrontPicture, aligned, brows_off, darkest_off, with_brow
+from bake.face.lips import STEP, lip_line
+from bake.face.mouth import coarser, zipped
 from bake.face.strip import LEFT_EYE, MOUTH, size_in, uv_in, with_strip
 from bake.face.template import FaceRefused, person_face
 from geometry.mesh import face_areas
 
 SHEET = face_sheet()
 PARTED = parted(SHEET.level, SHEET.person, lip_line(SHEET.person))
-FACED = with_face([SHEET.level], SHEET.person)
+FACED = with_face([SHEET.level, SHEET.level], SHEET.person)
 
 
 def moved(level, **weights):
@@ -74,6 +75,18 @@ def test_two_lines_are_sewn_by_every_edge_of_both_once():
     assert {(0, 1), (1, 2), (2, 3), (4, 5), (5, 6)} <= edges and len(faces) == 5
 
 
+def test_half_of_a_mouth_keeps_its_seam_and_names_its_own_vertices():
+    whole, half = SHEET.person, coarser(SHEET.person)
+    inside = np.unique(half.face.inside)
+    assert np.isin(np.concatenate(half.face.seam), inside).all() and np.isin(inside, whole.face.inside).all()
+    assert len(half.inside) == len(inside) < 0.6 * len(whole.inside)
+    assert len(half.parts) == sum(half.face.part_counts) < 0.6 * len(whole.parts)
+    assert half.face.part_faces.max() == len(half.parts) - 1
+    # teeth and tongue stay apart
+    part = np.repeat(np.arange(3), half.face.part_counts)[half.face.part_faces]
+    assert (part == part[:, :1]).all() and half.face.offsets.shape[1] - 13380 == len(half.parts)
+
+
 def test_lips_touch_at_rest_and_part_between_their_corners_when_the_jaw_opens():
     level, offsets = PARTED.growing
     upper, lower = level.positions[PARTED.upper], level.positions[PARTED.lower]
@@ -81,6 +94,7 @@ def test_lips_touch_at_rest_and_part_between_their_corners_when_the_jaw_opens():
     jaw = offsets[SHAPES.index("jawOpen"), :, 1]
     apart = jaw[PARTED.upper] - jaw[PARTED.lower]
     assert apart[[0, -1]].tolist() == [0, 0] and apart.max() > 0.02 and apart[5:-5].min() > 0.005
+    assert np.median(np.linalg.norm(np.diff(upper, axis=0), axis=1)) > STEP
 
 
 def test_a_mouth_closed_again_leaves_less_than_a_millimetre():
@@ -89,9 +103,10 @@ def test_a_mouth_closed_again_leaves_less_than_a_millimetre():
     assert np.linalg.norm(both[PARTED.upper] - both[PARTED.lower], axis=1).max() < 0.0008
 
 
+@pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("shape", ["jawOpen", "mouthFunnel", "mouthSmileLeft", "mouthUpperUpRight"])
-def test_no_shape_opens_a_gap_between_lips_and_mouth(shape):
-    level = FACED.levels[0]
+def test_no_shape_opens_a_gap_between_lips_and_mouth(shape, number):
+    level = FACED.levels[number]
     points = np.round(moved(level, **{shape: 1.0}) * 1e6).astype(np.int64)
     near = lip_line(SHEET.person).away(level.positions.astype(np.float64)) < 0.003
     place = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
@@ -101,6 +116,16 @@ def test_no_shape_opens_a_gap_between_lips_and_mouth(shape):
     own = edges[np.isin(edges, skin).all(1)]
     assert np.isin(place[own[:, 0]] * len(place) + place[own[:, 1]],
                    place[edges[:, 1]] * len(place) + place[edges[:, 0]]).all()  # fmt: skip
+
+
+def test_a_coarser_level_follows_the_finest_one_as_it_would_move_by_itself():
+    level, alone = FACED.levels[1], parted(SHEET.level, SHEET.person, lip_line(SHEET.person), COARSE[1]).growing
+    assert level.face.follow is not None and FACED.levels[0].face.follow is None
+    place = KDTree(alone.level.positions).query(level.positions[level.face.vertices])
+    same = place[0] < 1e-7
+    off = np.linalg.norm(level.face.offsets[:, same] - alone.offsets[:, place[1][same]], axis=2)
+    # lips touch: their offsets are of either
+    assert same.sum() > 1000 and np.percentile(off, 99) < 0.0002
 
 
 @pytest.mark.parametrize("weight", [0, 0.25, 0.5, 0.75, 1])
@@ -163,6 +188,40 @@ def test_lips_that_registration_left_beside_the_picture_s_are_found():
     off = SHEET.person._replace(vertices=SHEET.person.vertices + [0, -0.005, 0])
     found, right = lip_line(aligned(off, SHEET.level)), lip_line(SHEET.person)
     assert np.abs(np.interp(right.x[20:-20], found.x, found.y) - right.y[20:-20]).max() < 0.001
+
+
+def strip(*bands, base=0.7):
+    """A picture of 6 cm from y = 0 up, with bands (y, half width, brightness), and a line at y = 3 cm."""
+    height = 0.06 - PIXEL * np.arange(120)
+    light = np.full(120, base)
+    for y, half, brightness in bands:
+        light[np.abs(height - y) < half] = brightness
+    x = np.linspace(-0.02, 0.02, 5)
+    picture = FrontPicture(
+        np.repeat(light[:, None], 160, 1), np.zeros((120, 160, 3)), np.array([-0.04, 0.06 - 119 * PIXEL])
+    )
+    return picture, np.c_[x, np.full(5, 0.03), 0 * x]
+
+
+def test_lips_meet_in_a_thin_dark_line_not_where_a_lip_is_dark():
+    picture, line = strip((0.038, 0.007, 0.4), (0.031, 0.0006, 0.35))
+    off, _ = darkest_off(picture, line[:, 0], line[:, 1], 0.018, (PIXEL, ROUND))
+    assert np.abs(off - 0.001).max() < 0.0006
+
+
+@pytest.mark.parametrize("bands, wanted", [
+    ([(0.034, 0.002, 0.4)], 0.004), ([], 0), ([(0.021, 0.003, 0.3)], 0),
+    ([(0.034, 0.002, 0.4), (0.018, 0.003, 0.1)], 0.004),
+])  # fmt: skip
+def test_brows_are_the_dark_band_over_both_eyes_and_no_lid(bands, wanted):
+    picture, brow = strip(*bands)
+    assert abs(brows_off(picture, [brow, brow], np.array([[0, 0.012, 0], [0, 0.012, 0]])) - wanted) < 0.0007
+
+
+def test_skin_at_a_brow_moves_with_it_and_lids_do_not():
+    _, brow = strip()
+    at = np.array([[0, 0.03, 0.01], [0.0, 0.018, 0.01], [0, 0.061, 0.01], [0.035, 0.03, 0.01], [0, 0.03, -0.01]])
+    assert with_brow(at, brow, np.array([0, 0.012, 0])).tolist() == [1, 0, 0, 0, 0]
 
 
 def test_a_painted_eye_gets_a_ball_behind_it():

@@ -178,7 +178,13 @@ FACE_LIES = [
       [8.5, 2, 10, 2], [8, 0, 10, 2]]),
     (f"{OURS}.levels.0.balls", [6, 2, 10, 2], "of the left ball left_eye alone"),
     (f"{OURS}.levels.0.balls", [8, 1, 10, 2], "of the balls alone those of the eyes, is 'vertex 9'"),
-    (f"{OURS}.levels.1.balls", [0, 1, 1, 1], "of the left ball left_eye alone"),
+    (f"{OURS}.levels.1.balls", [1, 1, 2, 2], "of the balls alone those of the eyes"),
+    *((f"{OURS}.levels.1.follow", value, "follow should be an object") for value in [3, []]),
+    (f"{OURS}.levels.0.follow", {}, "follow should be an object, of a level below"),
+    *((f"{OURS}.levels.1.follow.{key}", value, rf"follow.{key} should be")
+      for key in ("vertices", "sources", "weights") for value in [*HUGE, "0"]),
+    *((f"{OURS}.levels.1.follow.{key}", 0, r"follow should be at most 32768 rows")
+      for key in ("vertices", "sources", "weights")),
     ("meshes.0.extras.targetNames.3", "smile", "targetNames should be ARKit's 52 names"),
     ("meshes.0.extras", [], "targetNames should be ARKit's 52 names"),
     ("meshes.0.primitives.0.targets", [{}], "targets should be a list of 52 objects"),
