@@ -97,8 +97,8 @@ def fewer(
 
     Each stands for those that quadric collapse (geometry/decimate.py) draws together: the one nearest to their place.
     """
-    flat, small = points.astype(np.float32), faces.astype(np.int32)
-    collapses = fast_simplification.simplify(flat, small, target_reduction=0.5, return_collapses=True)[2]
+    flat, small = points.astype(np.float64), faces.astype(np.int32)
+    *_, collapses = fast_simplification.simplify(flat, small, target_reduction=0.5, return_collapses=True)
     places, _, place = fast_simplification.replay_simplification(flat, small, collapses)
     away = np.linalg.norm(points - places[place], axis=1)
     away[pinned] = -1

@@ -281,7 +281,8 @@ def standing_rows(what: JudgedSurfaces, raster: Rasteriser, template: CaptureSub
         rows[name] = with_outlines(regions_of(distances), outline_scores(raster, case, pair, T))
         if template is not None:
             face = face_landmarks_mm(template, case, pair)
-            rows[name]["head"] |= {} if face is None else dict(zip(("face_mm", "face_on_head_mm"), map(rounded, face)))
+            if face is not None:
+                rows[name]["head"] |= {"face_mm": rounded(face.shape), "face_on_head_mm": rounded(face.on_head)}
     return rows
 
 

@@ -2,7 +2,9 @@
 
 A bag over a head or a hem that is missing shows in outlines, whatever a mean distance forgives. Features are lids,
 brows, nose and lips of iBUG's 68 points: the vertex of the template that the fit takes for the landmark, moved to the
-nearest point of what is judged. The jaw's points are left out: they slide along the outline as the head turns.
+nearest point of what is judged. The jaw's points are left out: they slide along the outline as the head turns. They are
+laid on the true ones once by the rigid motion that fits them best (the face's shape), and once with the whole head
+aligned (where the face sits in it: a centimetre of hair moves that by as much).
 """
 
 from typing import NamedTuple
@@ -11,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.camera import Camera, orbit_camera
+from avatar.similarity import similarity_from_landmarks
 from bench.score.picture_scores import REGION_PART
 from bench.score.posed_geometry import GeometryCase, PosedPair, alignment
 from capture.fit.points import body_points
@@ -63,8 +66,15 @@ def framing(points: Float[np.ndarray, "n 3"], azimuth: float) -> Camera:
     return orbit_camera(middle, 1.1 * radius / np.tan(FOV / 2), azimuth, 0.0, SIZE, FOV)
 
 
-def face_landmarks_mm(template: CaptureSubject, case: GeometryCase, pair: PosedPair) -> float | None:
-    """Their mean in pose 0, the head aligned by itself; None: the truth or the template names none."""
+class FaceError(NamedTuple):
+    """Mean distance of the features in pose 0, millimetres."""
+
+    shape: float  # the features aligned by themselves
+    on_head: float  # the head aligned
+
+
+def face_landmarks_mm(template: CaptureSubject, case: GeometryCase, pair: PosedPair) -> FaceError | None:
+    """The features' errors; None: the truth or the template names none."""
     truth = case.truth.face
     if truth is None or not template.on_free_body:
         return None
@@ -75,4 +85,8 @@ def face_landmarks_mm(template: CaptureSubject, case: GeometryCase, pair: PosedP
     weights = closest_on_triangles(found.point, case.surface.vertices[corners])[1]
     ours = np.einsum("nk,nkc->nc", weights, pair.surface[corners])
     T = alignment(case, pair, "head")
-    return MILLIMETRES * float(np.linalg.norm(ours @ T[:3, :3].T + T[:3, 3] - truth[INNER], axis=1).mean())
+    own = similarity_from_landmarks(ours, truth[INNER]).transform[:3, :3]
+    own /= np.cbrt(np.linalg.det(own))
+    off = (ours - ours.mean(0)) @ own.T - (truth[INNER] - truth[INNER].mean(0))
+    on_head = ours @ T[:3, :3].T + T[:3, 3] - truth[INNER]
+    return FaceError(*(MILLIMETRES * float(np.linalg.norm(x, axis=1).mean()) for x in (off, on_head)))

@@ -14,11 +14,11 @@ BUDGET = {
     "geometry": 1_724,
     "capture": 11_986,
     "train": 5_380,
-    "bake": 6_011,
+    "bake": 6_012,
     "player": 19_961,
     "shaders": 970,
     "synth": 3_791,
-    "bench": 5_246,
+    "bench": 5_214,
     "selfscan": 469,
     "tests": 36_272,
 }
