@@ -1,6 +1,6 @@
-"""True people and their avatars beside each other: face, side of the head, front, back: docs/pictures/twelve.png.
+"""True people and their avatars beside each other: face, side of the head, front, back: docs/pictures/twelve.jpg.
 
-python -m experiments.beside_sheet docs/pictures/twelve.png builtin:2=two.glb person.glb=made.glb ...
+python -m experiments.beside_sheet docs/pictures/twelve.jpg builtin:2=two.glb person.glb=made.glb ...
 """
 
 import argparse
@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("out", type=Path)
     parser.add_argument("pairs", nargs="+", metavar="PERSON=AVATAR", help="as `synth` takes a person, and its .glb")
-    parser.add_argument("--side", type=int, default=200, help="pixels of a picture")
+    parser.add_argument("--side", type=int, default=512, help="pixels of a picture")
     options = parser.parse_args(argv)
     rows = []
     for pair in options.pairs:
@@ -82,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     half = len(rows) // 2
     sheet = np.concatenate([np.concatenate(rows[:half]), np.concatenate(rows[half:])], 1)
     with whole_file(options.out, "wb") as file:
-        Image.fromarray(sheet).save(file, "PNG", optimize=True)
+        Image.fromarray(sheet).save(file, "JPEG", quality=82, optimize=True)
     return 0
 
 
