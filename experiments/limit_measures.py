@@ -20,7 +20,7 @@ from avatar.camera import Camera, look_at, write_camera
 from avatar.face import FaceFrame
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.motion.amass import write_amass
-from avatar.motion.clip import Clip, Motion, fitted
+from avatar.motion.clip import Clip, Motion
 from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from geometry.rasterise import rasterise
@@ -67,8 +67,9 @@ def painted(texels: int = 256) -> Avatar:
 
 
 def scene_picture(
-    place: Place, avatars: str = PERSON, camera: str = FRONT, *, effects: str = PLAIN, size: tuple[int, int] = (SIDE, SIDE)
-) -> tuple[Image, Stage, Camera]:
+    place: Place, avatars: str = PERSON, camera: str = FRONT, *, effects: str = PLAIN,
+    size: tuple[int, int] = (SIDE, SIDE),
+) -> tuple[Image, Stage, Camera]:  # fmt: skip
     """The first frame of a scene file whose tables these are, the scene that was opened, and its camera."""
     if not (place.folder / "person.glb").exists():
         write_avatar(place.folder / "person.glb", painted())
@@ -110,9 +111,8 @@ def differing(image: Image, expected: Image) -> float:
     return float(off.sum() / person.sum()) if person.any() else 1.0
 
 
-def from_exact(place: Place, **scene: str | tuple[int, int]) -> float:
-    image, stage, camera = scene_picture(place, **scene)
-    return differing(image, exact(stage, camera))
+def from_exact(picture: tuple[Image, Stage, Camera]) -> float:
+    return differing(picture[0], exact(*picture[1:]))
 
 
 def away(place: Place, metres: float) -> float:
@@ -125,11 +125,16 @@ def away_in_shadow(place: Place, metres: float) -> float:
     return differing(image, usual(place, effects))
 
 
+def motion_away(place: Place, metres: float) -> float:
+    clip = Clip(np.zeros((1, 52, 3)), np.array([[metres, 0.9, 0.0]]), RATE)
+    write_amass(place.folder / "clip.npz", clip)
+    return differing(scene_picture(place, PERSON + 'motion = "clip.npz"\n')[0], usual(place))
+
+
 def one_behind(place: Place, metres: float) -> float:
     """Seen by a camera that stands still."""
     camera = FRONT + "eye = [0, 1, 4]\ntarget = [0, 1, 0]\n"
-    image, stage, view = scene_picture(place, PERSON + PERSON + f"at = [0, 0, {-metres!r}]\n", camera)
-    return differing(image, exact(stage, view))
+    return from_exact(scene_picture(place, PERSON + PERSON + f"at = [0, 0, {-metres!r}]\n", camera))
 
 
 def turned_on_stage(place: Place, degrees: float) -> float:
@@ -154,20 +159,21 @@ def camera_away(place: Place, metres: float) -> float:
     K = np.array([[focal, 0, SIDE / 2], [0, focal, SIDE / 2], [0, 0, 1]])
     camera = Camera(K, look_at((0, -0.1, metres), (0, -0.1, 0)), (SIDE, SIDE))
     write_camera(place.folder / "camera.json", camera)
-    return from_exact(place, camera='[[camera]]\nkind = "file"\npath = "camera.json"\n', avatars=PERSON + "turn_deg = 70\n")
+    table = '[[camera]]\nkind = "file"\npath = "camera.json"\n'
+    return from_exact(scene_picture(place, PERSON + "turn_deg = 70\n", table))
 
 
 def field_of_view(place: Place, degrees: float) -> float:
-    return from_exact(place, camera=FRONT + f"fov_deg = {degrees!r}\n")
+    return from_exact(scene_picture(place, camera=FRONT + f"fov_deg = {degrees!r}\n"))
 
 
 def picture_wide(place: Place, pixels: float) -> float:
-    return from_exact(place, size=(int(pixels), 64))
+    return from_exact(scene_picture(place, size=(int(pixels), 64)))
 
 
 def texture_wide(place: Place, texels: float) -> float:
     write_avatar(place.folder / "texture.glb", painted.__wrapped__(int(texels)))
-    return from_exact(place, avatars=PERSON.replace("person", "texture"))
+    return from_exact(scene_picture(place, PERSON.replace("person", "texture")))
 
 
 def triangles(place: Place, count: float) -> float:
@@ -186,12 +192,8 @@ def avatars(place: Place, count: float) -> float:
     return differing(scene_picture(place, aside + PERSON, camera)[0], scene_picture(place, PERSON, camera)[0])
 
 
-def standing_clip(rate: float = RATE, pose: np.ndarray | None = None, height: float | None = None) -> Clip:
-    return Clip(np.zeros((2, 52, 3)) if pose is None else pose, np.ones((2, 3)), rate, pelvis_height=height)
-
-
-def reread(place: Place, clip: Clip) -> Motion:
-    write_amass(place.folder / "clip.npz", clip)
+def reread(place: Place, pose: np.ndarray, rate: float = RATE) -> Motion:
+    write_amass(place.folder / "clip.npz", Clip(pose, np.ones((2, 3)), rate))
     return read_motion(place.folder / "clip.npz")
 
 
@@ -199,7 +201,7 @@ def joint_turns(place: Place, turns: float) -> float:
     """Degrees off."""
     axis, pose = np.array([0.36, 0.48, 0.8]), np.zeros((2, 52, 3))
     pose[:, 16] = axis * (0.5 + 2 * np.pi * round(turns))
-    found = matrix_from_axis_angle(reread(place, standing_clip(pose=pose)).read().axis_angle[0, 16])
+    found = matrix_from_axis_angle(reread(place, pose).read().axis_angle[0, 16])
     off = axis_angle_from_matrix(found @ matrix_from_axis_angle(-0.5 * axis))
     return float(np.degrees(np.linalg.norm(off)))
 
@@ -216,7 +218,8 @@ def still(frames: int, rate: float) -> Motion:
 
 
 def clip_rate(place: Place, rate: float) -> float:
-    return frames_off(Track(still(1 << 60, float(reread(place, standing_clip(rate)).rate))), rate, 0)
+    read = float(reread(place, np.zeros((2, 52, 3)), rate).rate)
+    return frames_off(Track(still(1 << 60, read)), rate, 0)
 
 
 def clip_length(_place: Place, frames: float) -> float:
@@ -244,12 +247,6 @@ def film_rate(place: Place, rate: float) -> float:
         times = sorted(float(p.pts * p.time_base) for p in container.demux(video=0) if p.pts is not None and p.size)
     assert len(times) == 1000
     return float(np.abs(np.array(times) * rate - np.arange(1000)).max())
-
-
-def pelvis_height(place: Place, metres: float) -> float:
-    """Of the root's own length."""
-    found = fitted(reread(place, standing_clip(height=metres)), 0.9).read().root * metres / 0.9
-    return float(np.abs(found - 1).max())
 
 
 def key_gap(place: Place, seconds: float) -> float:

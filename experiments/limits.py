@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from bench.report.writer import markdown_table
 from command.errors import AssetError
@@ -29,8 +30,8 @@ INTRODUCTION = """# Where numbers stop being true
 Written by `make limits`. The largest and the smallest value of each quantity for which its promise holds, to 1 %: found
 by bisection from a usual value, through the file that a user gives. *Error there* is what was measured at the value
 itself; *beyond it* is what is said at the next one, one percent on: the refusal, or that nothing is said, and the error
-then. Pictures are of 96 pixels; a pixel is wrong that differs by more than 16 of 255. [Hard cases](hard-cases.md) has
-what is promised inside.
+then. Pictures are of 96 pixels and without effects that are not named; a pixel is wrong that differs by more than 16 of
+255, an exact picture is drawn in double precision. [Hard cases](hard-cases.md) has what holds inside.
 """
 
 
@@ -48,6 +49,8 @@ class Limit:
     least: float | None = None
     most: float | None = None
     whole: bool = False
+    # why nothing needs to be said beyond
+    silent: str = ""
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,7 @@ class Edge:
     beyond: str | None
 
 
-@dataclass(frozen=True)
-class Tried:
+class Tried(NamedTuple):
     holds: bool
     error: float
     said: str
@@ -74,7 +76,7 @@ def tried(limit: Limit, place: Place, value: float) -> Tried:
     except (AssetError, ValueError) as refused:
         text = re.sub(r"\S*/(?=[\w.]+)", "", str(refused)).replace("|", "/")
         return Tried(False, float("nan"), f"`{text}`")
-    return Tried(error <= limit.bound, error, f"nothing is said; {error:.2g} {limit.of}")
+    return Tried(error <= limit.bound, error, f"nothing is said{limit.silent}; {error:.2g} {limit.of}")
 
 
 def edge(limit: Limit, place: Place, end: float) -> Edge:
@@ -96,7 +98,7 @@ def edge(limit: Limit, place: Place, end: float) -> Edge:
         inside, found = outside, beyond
         if inside == end:
             return Edge(inside, found.error, None)
-    while max(outside / inside, inside / outside) > STEP and not (limit.whole and abs(outside - inside) <= 1):
+    while abs(outside - inside) > (1 if limit.whole else (STEP - 1) * min(inside, outside)):
         middle = (inside * outside) ** 0.5
         middle = min(max(round(middle), min(inside, outside) + 1), max(inside, outside) - 1) if limit.whole else middle
         half = at(middle)
@@ -116,7 +118,9 @@ pictured = partial(Limit, bound=PICTURE, of=PIXELS)
 LIMITS = (
     pictured("distance of an avatar from the origin", "m", "the front camera's picture stays", measures.away,
              usual=1.0, most=1e12),
-    pictured("the same with its shadow on the ground", "m", "the picture stays", measures.away_in_shadow,
+    pictured("distance of a motion from the origin", "m", "the front camera's picture stays", measures.motion_away,
+             usual=1.0, most=1e12),
+    pictured("distance of an avatar with its shadow on the ground", "m", "the picture stays", measures.away_in_shadow,
              usual=1.0, most=1e12),
     pictured("distance of another avatar, behind it", "m", "the one in front is whole", measures.one_behind,
              usual=10.0, most=1e12),
@@ -125,35 +129,33 @@ LIMITS = (
     pictured("size of a person", "of the free body's", "the front camera's picture stays", measures.sized,
              usual=1.0, least=1e-9, most=1e9),
     pictured("distance of the camera, its focal length growing", "m", "the picture is exact", measures.camera_away,
-             usual=3.0, least=1.0, most=1e12),
+             usual=3.0, most=1e12),
     pictured("vertical field of view", "degrees", "the fitted picture is exact", measures.field_of_view,
              usual=35.0, least=1e-6, most=179.999),
     pictured("width of a picture", "pixels", "it is exact", measures.picture_wide,
-             usual=96, least=1, most=1e9, whole=True),
+             usual=96, most=1e9, whole=True),
     pictured("width of a texture", "texels", "the picture is exact", measures.texture_wide,
-             usual=256, least=16, most=1e6, whole=True),
+             usual=256, most=1e6, whole=True),
     pictured("triangles of an avatar", "", "the picture stays", measures.triangles,
              usual=30_000, most=1 << 22, whole=True),
     pictured("avatars in a scene", "", "the last one is drawn as if alone", measures.avatars,
-             usual=2, least=1, most=10_000, whole=True),
+             usual=2, most=10_000, whole=True),
     Limit("turns of a joint in a pose file", "", "whole turns change nothing", measures.joint_turns,
           0.01, "degrees", usual=1, most=1e18, whole=True),
     Limit("frame rate of a clip", "Hz", "each moment shows its frame", measures.clip_rate,
           0, "frames", usual=30.0, least=1e-6, most=1e9),
     Limit("frames of a clip", "", "each moment shows its frame", measures.clip_length,
-          0, "frames", usual=1000, most=1e18, whole=True),
+          0, "frames", usual=1000, most=1e12, whole=True),
     Limit("moment of a motion at which a scene begins", "s", "each moment shows its frame", measures.scene_start,
           0, "frames", usual=10, most=1e15, whole=True),
     Limit("frame rate of a film", "Hz", "each of a thousand frames is shown at its time", measures.film_rate,
           0.5, "frames", usual=30.0, least=1e-6, most=1e9),
-    Limit("pelvis height that a pose file claims", "m", "the root fits our own height", measures.pelvis_height,
-          1e-9, "of the root", usual=0.9, least=1e-9, most=1e9),
     Limit("time between two keys of a camera path", "s", "the way is the same", measures.key_gap,
-          1e-6, "m", usual=1.0, least=1e-300, most=1e15),
+          1e-6, "m", usual=1.0, least=1e-12, most=1e15),
     Limit("reach of a face shape in an avatar file", "m", "vertices go where it says", measures.face_offset,
-          1e-6, "m", usual=0.01, least=1e-9, most=1e9),
+          1e-6, "m", usual=0.01, most=1e9),
     Limit("weight of a face shape", "", "the jaw opens so far", measures.face_weight,
-          1e-6, "m", usual=0.5, least=1e-9, most=1e9),
+          1e-6, "m", usual=0.5, most=1e9, silent=", trackers overshoot: drawn as 1"),
 )  # fmt: skip
 
 
@@ -162,7 +164,7 @@ def rows(limit: Limit, found: dict[str, Edge]) -> list[Sequence[str]]:
     name = f"{limit.name}{', ' * bool(limit.unit)}{limit.unit}: {limit.promise}"
     out = []
     for side, edge in found.items():
-        value = f"{edge.value:.0f}" if limit.whole and edge.value < 1e6 else f"{edge.value:.4g}"
+        value = f"{edge.value:.0f}" if limit.whole else f"{edge.value:.4g}"
         beyond = "holds as far as was looked" if edge.beyond is None else edge.beyond
         out.append([name, side, value, f"{edge.error:.2g}", f"{limit.bound:g} {limit.of}", beyond])
     return out
