@@ -8,7 +8,7 @@ RUN = $(VENV)/bin/python
 TORCH_INDEX ?=
 JOBS ?= 2  # test processes side by side
 
-.PHONY: demo test test-all hard-cases hard-cases-night mutants setup system lint clean
+.PHONY: demo test test-all hard-cases hard-cases-night limits mutants setup system lint clean
 
 demo: setup
 	$(RUN) -m bench.demo out/demo
@@ -33,6 +33,10 @@ test-all: test lint
 # Runs the hard cases and writes docs/hard-cases.md: case, bound, measured worst error, rasteriser.
 hard-cases: setup
 	$(RUN) -m pytest -q tests/hard_cases --hard-cases-report docs/hard-cases.md
+
+# Writes docs/limits.md: the largest and smallest values for which what is promised holds, and what is said beyond.
+limits: setup
+	$(RUN) -m experiments.limits
 
 # What hard cases hold by night: every reader fuzzed (an hour for 60 s each), all shaders rewritten, long commands under failing calls.
 hard-cases-night: setup

@@ -18,8 +18,10 @@ Vector = Sequence[float | int] | Array
 
 # the largest camera file
 MAX_BYTES = 1 << 20
-# pixels and metres that leave every product of them finite
+# pixels that leave every product of them finite
 LARGEST = 1e9
+# metres from the origin; some times farther, single precision cannot order the depths of a body (docs/limits.md)
+FARTHEST = 1e6
 
 
 @dataclass(frozen=True)
@@ -236,8 +238,9 @@ def checked_camera(place: str, K: object, pose: object, size: object, distortion
             raise AssetError(f"{place}: {name} should be numbers of shape {shape}, is {shown}") from None
         if array.shape != shape or not np.isfinite(array).all():
             raise AssetError(f"{place}: {name} should be finite and of shape {shape}, is {shown}")
-        if not (np.abs(array) < LARGEST).all():
-            raise AssetError(f"{place}: {name} should be below {LARGEST:g}, is {shown}")
+        most = FARTHEST if name == "camera_from_world" else LARGEST
+        if not (np.abs(array) < most).all():
+            raise AssetError(f"{place}: {name} should be below {most:g}, is {shown}")
         arrays[name] = array
     K_, pose_, size_ = arrays["K"], arrays["camera_from_world"], arrays["size"]
     if not (K_[0, 0] > 0 and K_[1, 1] > 0):

@@ -233,6 +233,7 @@ class HardCases:
             "the",
             "largest error measured against the *bound* that the test asserts. Rows without a number assert an exact",
             "value, a flag or a refusal that names the file and field.",
+            "[Limits](limits.md) has where each promise ends.",
             "",
             f"{platform.python_implementation()} {platform.python_version()}, NumPy {np.__version__}, {renderer()}.",
         ]

@@ -27,15 +27,16 @@ class Fragments(NamedTuple):
     depth: Float[np.ndarray, "height width"]  # metres along the optical axis; inf where nothing is
 
 
-def clip_planes(depth: Float[np.ndarray, "points"]) -> tuple[float, float] | None:
+def clip_planes(depth: Float[np.ndarray, "points"], end: float = np.inf) -> tuple[float, float] | None:
     """Near and far, metres, that hold points of these depths; None when all lie behind the camera.
 
-    Near never falls under a thousandth of far (a camera inside a body), or 24 bits could not order surfaces.
+    Near never falls under a thousandth of where the nearest body ends (`end`; inf: it is the only one), or 24 bits
+    could not order surfaces before a camera inside of it.
     """
     far = float(depth.max(initial=-np.inf))
     if not far > 0:
         return None
-    near = max(0.999 * float(depth.min()), 1e-3 * far)
+    near = max(0.999 * float(depth.min()), 1e-3 * min(far, end))
     return near, max(1.001 * far, 1.01 * near)
 
 

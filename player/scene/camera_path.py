@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.camera import LARGEST, Camera, camera_from_json, look_at
+from avatar.camera import FARTHEST, LARGEST, Camera, camera_from_json, look_at
 from command.errors import AssetError
 from command.settings import AtLeast, AtMost, Refused, SettingsSource, record_of, settings
 from files import input_file
@@ -187,9 +187,9 @@ def _read_key(place: str, key: dict[str, object]) -> Key:
 class _EyeKey:
     """An eye that looks at a target; world, metres."""
 
-    eye: Annotated[Place, AtLeast(-LARGEST), AtMost(LARGEST), "where the camera is"]
-    target: Annotated[Place, AtLeast(-LARGEST), AtMost(LARGEST), "what it looks at"]
-    up: Annotated[Place, AtLeast(-LARGEST), AtMost(LARGEST), "what is up in the picture"] = (0.0, 1.0, 0.0)
+    eye: Annotated[Place, AtLeast(-FARTHEST), AtMost(FARTHEST), "where the camera is"]
+    target: Annotated[Place, AtLeast(-FARTHEST), AtMost(FARTHEST), "what it looks at"]
+    up: Annotated[Place, AtLeast(-FARTHEST), AtMost(FARTHEST), "what is up in the picture"] = (0.0, 1.0, 0.0)
     fov_deg: Annotated[float, AtLeast(0.1), AtMost(175), "vertical field of view, degrees"] = math.degrees(FOV)
 
     def __post_init__(self):
@@ -202,5 +202,5 @@ class _EyeKey:
 def _number(place: str, key: dict[str, object], name: str) -> float:
     value = key.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
-        raise AssetError(f"{place}: {name} should be a number, is {str(value)[:60]}")
+        raise AssetError(f"{place}: {name} should be a number below {LARGEST:g}, is {str(value)[:60]}")
     return float(value)

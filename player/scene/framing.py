@@ -18,7 +18,7 @@ FOV = np.radians(35.0)  # vertical
 # a little from above, as one stands before a person
 ELEVATION = np.radians(4.0)
 MARGIN = 0.06  # share of the picture's width and height, left free on each side
-NEAREST = 0.1  # metres before the lens
+NEAREST = 0.05  # of the largest extent of the points; none is nearer to the lens
 # directions that a camera going round is checked from
 SIDES = 48
 
@@ -72,7 +72,7 @@ def fitted(
     x, y, z = ((points - middle) @ R.T).T
     slopes = _slopes(size, fov)
     needed = [((v - s * z).max() - (v + s * z).min()) / (2 * s) for v, s in zip((x, y), slopes, strict=True)]
-    distance = max(*needed, NEAREST - float(z.min()))
+    distance = max(*needed, _nearest(points) - float(z.min()))
     shift = [_even_margins(v, distance + z) for v in (x, y)]
     return Fitted(middle + shift[0] * R[0] + shift[1] * R[1], float(distance))
 
@@ -95,13 +95,14 @@ def fitted_round(points: Float[Array, "points 3"], size: tuple[int, int], *, fov
     swept = np.stack([cos * x + sin * z, heights, cos * z - sin * x], -1).reshape(-1, 3)
     R = look_at(direction(0.0, ELEVATION), np.zeros(3))[:3, :3]
     slopes = _slopes(size, fov)
-    lift, distance = 0.0, NEAREST
+    nearest = _nearest(points)
+    lift, distance = 0.0, nearest
     # the target stays on the axis, so its height and the distance depend on one another, a little
     for _ in range(4):
         x, y, z = ((swept - [0.0, lift, 0.0]) @ R.T).T
         wide = (np.abs(x) / slopes[0] - z).max()
         high = ((y - slopes[1] * z).max() - (y + slopes[1] * z).min()) / (2 * slopes[1])
-        distance = float(max(wide, high, NEAREST - z.min()))
+        distance = float(max(wide, high, nearest - z.min()))
         lift -= _even_margins(y, distance + z) / np.cos(ELEVATION)
     return Fitted(middle + [0.0, lift, 0.0], distance)
 
@@ -118,6 +119,10 @@ def view_from(eye: Sequence[float], target: Sequence[float]) -> View:
     x, y, z = (away := np.subtract(eye, target)).tolist()
     distance = float(np.linalg.norm(away))
     return View(np.array(target, np.float64), distance, float(np.arctan2(x, z)), float(np.arcsin(y / distance)))
+
+
+def _nearest(points: Float[Array, "points 3"]) -> float:
+    return NEAREST * float(np.ptp(points, axis=0).max())
 
 
 def _slopes(size: tuple[int, int], fov: float) -> tuple[float, float]:

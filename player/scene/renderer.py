@@ -239,7 +239,8 @@ class Renderer:
         if self._plan_faces(inputs, bones, visible):
             self._frame(inputs, only=only)
             return
-        planes = clip_planes(np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).ravel())
+        depths = np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).reshape(-1, 2)
+        planes = clip_planes(depths.ravel(), float(depths[:, 1].min(initial=np.inf)))
         look = self.look._replace(view_amount=self.view_amount)
         drawing = Drawing(inputs, self.resources, look, bones, bounds, visible, planes, reaches)
         # a filter works on what is there

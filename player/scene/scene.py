@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated
 
+from avatar.camera import FARTHEST
 from avatar.gltf.avatar_file import BUILTIN
 from avatar.motion.hands import HANDS
 from avatar.motion.read import BUILTIN_MOTIONS
@@ -23,8 +24,6 @@ CAMERAS = (*FITTED, "file", "path", "capture")
 # a film's frames per second and a round's seconds: beyond them containers of films count wrong
 FILM_RATES, TURNS = (0.01, 1000.0), (0.01, 86_400.0)
 MOST_AVATARS = 256
-# metres from the origin; beyond, a pixel of a near camera is more than numbers tell apart
-FARTHEST = 1e6
 SPACING = 1.0  # metres between several avatars, side by side
 # that travel with the program: a person as `make demo` makes him, and the free body without one
 MANNEQUINS = ("mannequin", "mannequin:female")
@@ -101,7 +100,8 @@ class SceneCamera:
     )
     seconds: Annotated[float | None, AtLeast(TURNS[0]), AtMost(TURNS[1]),
         "of orbit and turntable: one round; none: the length of the motion"] = None
-    fov_deg: Annotated[float | None, AtLeast(0.01), "of the fitted cameras: vertical field of view; none: 35"] = None
+    fov_deg: Annotated[float | None, AtLeast(0.01), AtMost(175),
+        "of the fitted cameras: vertical field of view; none: 35"] = None
     eye: Annotated[tuple[float, float, float] | None,
         "instead of fitting: where the camera stands when the scene begins, metres; with `target`"] = None
     target: Annotated[tuple[float, float, float] | None, "and what it looks at"] = None
@@ -111,8 +111,6 @@ class SceneCamera:
         if needs_file != (self.path is not None):
             need = "needs a path" if needs_file else f"takes no path, has {self.path!r}"
             raise ValueError(f"camera {self.kind} {need}")
-        if self.fov_deg is not None and not self.fov_deg < 180:
-            raise ValueError(f"fov_deg: expected less than 180, found {self.fov_deg:g}")
         if (self.eye is None) != (self.target is None) or (needs_file and self.eye is not None):
             raise ValueError("eye: expected with target, for a camera without a path")
         if self.eye is not None and self.eye == self.target:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole
+from avatar.motion.clip import Clip
 from avatar.skeleton import BIG_POSE
 from player.doctor_command import doctor_main
+from player.scene.framing import extent, fitted
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer
 
@@ -63,6 +65,25 @@ def test_a_root_that_spins_at_1000_rad_per_second_stays_rigid(renderer):
         a = renderer.draw([(spun, np.zeros(3))], camera)
         b = renderer.draw([(small, np.zeros(3))], camera)
         assert (np.abs(a.astype(int) - b).max(-1) > 1).sum() <= 2
+
+
+def test_another_avatar_10_km_behind_cuts_nothing_of_the_one_before_the_camera(render):
+    camera, behind = orbit_camera((0, 0, 0), 2.4, 0.0, 0.0, (96, 96)), (POSE[0], np.array([0, 0, -1e4]))
+    alone = render(mannequin(), (96, 96), view="off").draw([POSE], camera)
+    both = render([mannequin()] * 2, (96, 96), view="off").draw([POSE, behind], camera)
+    assert (alone[..., 3] > 0).sum() > 300 and (np.abs(both.astype(int) - alone).max(-1) > 1).sum() <= 2
+
+
+@pytest.mark.parametrize("fov", [35, 150])
+def test_a_fitted_camera_stands_by_size_and_not_by_place(fov, within):
+    """Of a thumb-sized person, and of one 1000 km away."""
+
+    def distance(scale=1.0, away=0.0):
+        clip = Clip(np.zeros((1, 52, 3)), np.array([[away, 0, 0]]), 30)
+        return fitted(scale * extent(mannequin(), clip), 0.0, (96, 96), fov=np.radians(fov)).distance / scale
+
+    within(distance(scale=0.01) - distance(), 1e-9, "m, of a hundredth")
+    within(distance(away=1e6) - distance(), 1e-6, "m, 1000 km away")
 
 
 LONG_RUN = """

@@ -111,7 +111,7 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ("start = 1", 'motion = "walking"', 13, r"avatar 2\.motion: motion and live: expected one of them, found both"),
     ('path = """mannequin:female"""\n', "", 11, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),
     ('kind = "front"', 'kind = "file"', 19, r"camera 2: camera file needs a path"),
-    ("fov_deg = 40", "fov_deg = 180", 21, r"camera 2\.fov_deg: expected less than 180, found 180"),
+    ("fov_deg = 40", "fov_deg = 180", 21, r"camera 2\.fov_deg: expected at most 175, found 180"),
     ("width = 3", "width = 0", 30, r"effects\.outline\.width: expected more than 0, found 0"),
     ("width = 3", 'color = "#ff000080"', 30, r"effects\.outline\.color: expected an opaque color"),
     ("width = 3", "with = 2", 30, r"effects\.outline\.with: unknown key in \[effects\.outline\]; did you mean width\?"),
