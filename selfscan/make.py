@@ -12,7 +12,7 @@ import sys
 import time
 import webbrowser
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -113,20 +113,22 @@ def film_yourself(wanted: MakeCommand) -> MakeCommand:
     Raises:
         AssetError: there is no camera or no display.
     """
-    from capture.raw.filming import film_parts
+    from capture.raw.filming import film_parts, unfilmed
     from capture.raw.webcam import open_camera
     from player.window.picture_window import PictureWindow
 
     folder = wanted.filmed
     # once films were read, those that were left out stay out
-    if not wanted.work.exists():
-        try:
-            with closing(open_camera(wanted.camera or "")) as camera, closing(PictureWindow((1280, 720))) as window:
-                folder.mkdir(exist_ok=True)
-                film_parts(folder, camera, window.show)
-        except AssetError as error:
-            raise AssetError(f"{error}; or film with a phone, put body.mp4, head.mp4, left.mp4 and right.mp4 into a "
-                             f"folder ME, and run selfscan make ME -o {wanted.out}") from None  # fmt: skip
+    if not wanted.work.exists() and unfilmed(folder):
+        with ExitStack() as held:
+            try:
+                camera = held.enter_context(closing(open_camera(wanted.camera or "")))
+                window = held.enter_context(closing(PictureWindow((1280, 720))))
+            except AssetError as error:
+                raise AssetError(f"{error}; or film with a phone, put body.mp4, head.mp4, left.mp4 and right.mp4 into "
+                                 f"a folder ME, and run selfscan make ME -o {wanted.out}") from None  # fmt: skip
+            folder.mkdir(exist_ok=True)
+            film_parts(folder, camera, window.show)
     return replace(wanted, films=(folder,), camera=None)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from av.video.frame import VideoFrame
 from jaxtyping import UInt8
 from numpy import ndarray as Array
 from PIL import Image, ImageDraw, ImageFont
@@ -20,11 +21,11 @@ from avatar.skeleton import PARTS
 from capture.raw.four_videos import ENDINGS, NAMES
 from capture.raw.judge import CALLED
 from capture.raw.outline import COLOR, outline
-from capture.raw.webcam import Shot, Webcam, WebcamFilm
+from capture.raw.webcam import Webcam, WebcamFilm
 from command.interrupt import Stopped, deferred_stop
 from files.whole import whole_file
 
-# of the picture that is shown and of what is written above and below it, pixels
+# the picture as shown, and what is written above and below it, pixels
 HEIGHT, ABOVE, BELOW = 720, 46, 116
 WHITE, RED, DARK = (255, 255, 255), (230, 60, 50), (20, 22, 26)
 
@@ -67,6 +68,12 @@ class _Cancelled(Exception):
     """Escape was pressed: what was filmed is dropped."""
 
 
+def unfilmed(folder: Path) -> list[str]:
+    """The parts of which no film is in a folder."""
+    return [part for part in PARTS
+            if not any((folder / (name + ending)).exists() for name in NAMES[part] for ending in ENDINGS)]  # fmt: skip
+
+
 def film_parts(folder: Path, camera: Webcam, show: Show) -> None:
     """Film what is not in the folder yet; the person may leave out all but the body.
 
@@ -75,103 +82,85 @@ def film_parts(folder: Path, camera: Webcam, show: Show) -> None:
         Stopped: the window was closed, or a signal came; films that are there are kept.
     """
     studio = _Studio(camera, show)
-    for part in PARTS:
-        names = NAMES[part]
-        there = any((folder / (name + ending)).exists() for name in names for ending in ENDINGS)
-        while not there and studio.ready(part):
+    for part in unfilmed(folder):
+        done = False
+        while not done and studio.ready(part):
             with suppress(_Cancelled):
-                studio.film(part, folder / f"{names[-1]}.mp4")
-                there = True
-
-
-class _Guide(NamedTuple):
-    """What is drawn over the camera's picture."""
-
-    part: str
-    words: str
-    keys: str
-    recording: bool = False
-    # seconds until the next step
-    left: float | None = None
-    # share of a turn
-    turned: float | None = None
+                studio.film(part, folder / f"{NAMES[part][-1]}.mp4")
+                done = True
 
 
 class _Studio:
     """The camera with its window."""
 
     def __init__(self, camera: Webcam, show: Show):
-        self.show, self.size, self.shots = show, camera.size, camera.shots()
+        self.show, self.size, self.frames = show, camera.size, camera.frames()
 
     def ready(self, part: str) -> bool:
         """Wait for the space key; False: the person leaves this film out."""
-        optional = part != "body"
-        guide = _Guide(part, READY[part], "Space: begin" + "     N: leave this film out" * optional)
+        step = Step(math.inf, READY[part])
         while True:
-            pressed = self._show(next(self.shots), guide)
-            if "space" in pressed or (optional and "n" in pressed):
+            pressed = self._show(next(self.frames), part, step, math.inf)
+            if "space" in pressed or ("n" in pressed and part != "body"):
                 return "space" in pressed
 
     def film(self, part: str, path: Path) -> None:
-        """Count down, then write the film."""
-        self._run(part, (COUNTDOWN,), None)
-        with whole_file(path) as file, WebcamFilm(file, self.size) as film:
-            self._run(part, STEPS[part], film)
-
-    def _run(self, part: str, steps: Sequence[Step], film: WebcamFilm | None) -> None:
-        """Go through the steps, filming."""
+        """Count down, then film, step after step."""
+        steps = (COUNTDOWN, *STEPS[part])
         ends, begin = np.cumsum([step.seconds for step in steps]).tolist(), None
-        for shot in self.shots:
-            begin = shot.time if begin is None else begin
-            now = shot.time - begin
-            number = bisect(ends, now)
-            if number == len(steps):
-                return
-            step, left = steps[number], ends[number] - now
-            if film is not None:
-                film.add(shot.frame, now)
-            turned = 1 - left / step.seconds if step.turn else None
-            guide = _Guide(part, step.words, "Escape: from the beginning", film is not None, left, turned)
-            if "escape" in self._show(shot, guide):
-                raise _Cancelled
+        with whole_file(path) as file, WebcamFilm(file, self.size) as film:
+            for frame in self.frames:
+                assert frame.time is not None, "cameras stamp their pictures"
+                begin = frame.time if begin is None else begin
+                now = frame.time - begin
+                number = bisect(ends, now)
+                if number == len(steps):
+                    break
+                if number:
+                    film.add(frame, now - ends[0])
+                if "escape" in self._show(frame, part, steps[number], ends[number] - now):
+                    raise _Cancelled
 
-    def _show(self, shot: Shot, guide: _Guide) -> Sequence[str]:
-        picture = Image.fromarray(shot.frame.to_ndarray(format="rgb24")).transpose(Image.Transpose.FLIP_LEFT_RIGHT)
+    def _show(self, frame: VideoFrame, part: str, step: Step, left: float) -> Sequence[str]:
+        picture = Image.fromarray(frame.to_ndarray(format="rgb24")).transpose(Image.Transpose.FLIP_LEFT_RIGHT)
         with deferred_stop(patience=0) as stop:
-            pressed = self.show(np.asarray(_drawn(picture, guide)))
+            pressed = self.show(np.asarray(_drawn(picture, part, step, left)))
         stop.check()
         if "close" in pressed:
             raise Stopped
         return pressed
 
 
-def _drawn(picture: Image.Image, guide: _Guide) -> Image.Image:
-    """The mirrored picture with the guide over it, and words above and below, where they hide nobody's feet."""
+def _drawn(picture: Image.Image, part: str, step: Step, left: float) -> Image.Image:
+    """The mirrored picture with its outline, words above and below it, where they hide nobody's feet, and the seconds
+    left of the step; infinite: it waits for a key."""
     wide, high = size = round(HEIGHT * picture.width / picture.height), HEIGHT
-    out, line = Image.new("RGB", (wide, ABOVE + high + BELOW), DARK), outline(guide.part, size)
+    out, line = Image.new("RGB", (wide, ABOVE + high + BELOW), DARK), outline(part, size)
     out.paste(picture.resize(size), (0, ABOVE))
     out.paste(line, (0, ABOVE), line)
-    draw = ImageDraw.Draw(out, "RGBA")
+    draw, waits = ImageDraw.Draw(out, "RGBA"), math.isinf(left)
 
     def write(text: str, x: float | int, y: float | int, letter: float | int, anchor: str = "mm") -> None:
         draw.text((x, y), text, WHITE, ImageFont.load_default(letter), anchor)
 
-    write(f"Film {PARTS.index(guide.part) + 1} of {len(PARTS)}: {CALLED[guide.part]}", 20, ABOVE / 2, 26, "lm")
-    write(guide.words, wide / 2, ABOVE + high + 42, min(48, 2 * wide / len(guide.words)))
-    write(guide.keys, wide / 2, ABOVE + high + 92, 24)
-    if guide.recording:
+    write(f"Film {PARTS.index(part) + 1} of {len(PARTS)}: {CALLED[part]}", 20, ABOVE / 2, 26, "lm")
+    write(step.words, wide / 2, ABOVE + high + 42, min(48, 2 * wide / len(step.words)))
+    keys = "Space: begin" + "     N: leave this film out" * (part != "body") if waits else "Escape: from the beginning"
+    write(keys, wide / 2, ABOVE + high + 92, 24)
+    if not waits and step is not COUNTDOWN:
         write("filming", wide - 20, ABOVE / 2, 26, "rm")
-        draw.ellipse((wide - 140, ABOVE / 2 - 9, wide - 122, ABOVE / 2 + 9), RED)
+        draw.circle((wide - 131, ABOVE / 2), 9, RED)
     x, y, radius = wide - 110, ABOVE + 100, 70
-    if guide.turned is not None:
-        ring, angle = (x - radius, y - radius, x + radius, y + radius), 90 + 360 * guide.turned
+    if step.turn:
+        share = 1 - left / step.seconds
+        ring, angle = (x - radius, y - radius, x + radius, y + radius), 90 + 360 * share
         draw.ellipse(ring, (*DARK, 150), (*WHITE, 90), 12)
         # seen from above, the camera below
         draw.arc(ring, 90, angle, COLOR, 12)
         across, down = (radius - 6) * math.cos(math.radians(angle)), (radius - 6) * math.sin(math.radians(angle))
         draw.circle((x + across, y + down), 14, WHITE)
-        write(f"{guide.turned:.0%}", x, y, 34)
-    elif guide.left is not None:
+        write(f"{share:.0%}", x, y, 34)
+    elif not waits:
         draw.circle((x, y), radius, (*DARK, 150))
-        write(str(math.ceil(guide.left)), x, y, 90)
+        write(str(math.ceil(left)), x, y, 90)
     return out

@@ -4,7 +4,7 @@ import errno
 import sys
 from collections.abc import Iterator
 from fractions import Fraction
-from typing import IO, NamedTuple
+from typing import IO
 
 import av
 from av.container import InputContainer
@@ -24,13 +24,6 @@ WANTED = {"video_size": "1280x720", "framerate": "30"}
 TICKS = 90_000
 
 
-class Shot(NamedTuple):
-    """A picture of the camera's; `time` in seconds from the first."""
-
-    time: float
-    frame: VideoFrame
-
-
 class Webcam:
     """An open camera. `size` is width and height."""
 
@@ -39,21 +32,18 @@ class Webcam:
         context = container.streams.video[0].codec_context
         self.size = context.width, context.height
 
-    def shots(self) -> Iterator[Shot]:
-        """Its pictures as they come.
+    def frames(self) -> Iterator[VideoFrame]:
+        """Its pictures as they come, each with its `time` in seconds.
 
         Raises:
             AssetError: the camera was pulled out.
         """
-        begin = None
+        said = "it ended"
         try:
-            for frame in self._container.decode(video=0):
-                assert frame.time is not None, "cameras stamp their pictures"
-                begin = frame.time if begin is None else begin
-                yield Shot(frame.time - begin, frame)
+            yield from self._container.decode(video=0)
         except (FFmpegError, OSError) as error:
-            raise AssetError(f"the camera stopped: {error.strerror or error}") from None
-        raise AssetError("the camera stopped")
+            said = error.strerror
+        raise AssetError(f"the camera stopped: {said}")
 
     def close(self) -> None:
         self._container.close()
@@ -100,7 +90,7 @@ class WebcamFilm:
         self._stream.codec_context.time_base = Fraction(1, TICKS)
 
     def add(self, frame: VideoFrame, seconds: float) -> None:
-        """A picture at a time from the beginning, later than the one before."""
+        """A picture `seconds` from the beginning, later than the one before."""
         picture = frame.reformat(self._stream.width, self._stream.height, "yuv420p")
         picture.pts, picture.time_base = round(seconds * TICKS), Fraction(1, TICKS)
         self._container.mux(self._stream.encode(picture))

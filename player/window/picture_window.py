@@ -13,12 +13,9 @@ NAMES = {glfw.KEY_SPACE: "space", glfw.KEY_N: "n", glfw.KEY_ESCAPE: "escape"}
 
 
 class PictureWindow:
-    """Pictures of any size, as large as they fit; beside them it is black."""
+    """Pictures of any size, as large as they fit; beside them it is black. AssetError: there is no display."""
 
     def __init__(self, size: tuple[int, int], *, null: bool = False):
-        """Raises:
-        AssetError: there is no display.
-        """
         self.screen = Screen(size, null=null)
         self.layer = PictureLayer(self.screen.context)
         self._pressed: list[str] = []
