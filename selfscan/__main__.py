@@ -17,7 +17,7 @@ USAGE = """usage: selfscan COMMAND ...
 Turn four phone videos of a person into an avatar to pose, watch and film in real time.
 
 make an avatar
-  make    FILMS -o NAME.glb    four films to an avatar in one go: all of import, train and bake
+  make    FILMS -o NAME.glb    four films (--camera makes them) to an avatar: import, train and bake
   synth   SUBJECT OUT          four self-scan videos of a built-in or rigged person, with ground truth
   import  KIND ...             your own videos (video, easymocap) or the authors' data (totalselfscan) as a capture
   check   CAPTURE_OR_VIDEOS      is this usable? overlays, numbers, a verdict with what to do

@@ -4,6 +4,7 @@ Each step is the command that a person would type, in a process of its own, and 
 same command goes on. OUT.making beside the avatar holds what they leave.
 """
 
+import filecmp
 import json
 import os
 import shutil
@@ -11,7 +12,8 @@ import sys
 import time
 import webbrowser
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -40,7 +42,8 @@ too; what they give takes the place where it shows the films better. `selfscan p
 second is made, and then the second. Stopped, the same command goes on where it was.""",
     """example:
   selfscan make me -o me.glb --stature 1.78       me/ has body.mp4, head.mp4, left.mp4, right.mp4 and keypoints/
-  selfscan make me -o me.glb --minutes 4          the first avatar alone""",
+  selfscan make me -o me.glb --minutes 4          the first avatar alone
+  selfscan make --camera -o me.glb                films you with a webcam first, into me.films/""",
 )
 
 
@@ -48,11 +51,14 @@ second is made, and then the second. Stopped, the same command goes on where it 
 class MakeCommand:
     """`selfscan make`."""
 
-    films: Annotated[tuple[Path, ...], Option(positional=True, metavar="FILMS", several=True),
-        "body, head, left and right hand, in this order, the body alone, or a folder with body.mp4 and any of "
-        "head.mp4, left.mp4 and right.mp4"]
     out: Annotated[Path, Option(("-o", "--out"), "NAME.glb"), "avatar file, replaced whole by each better one"]
     reading: Annotated[FilmOptions, "how the films are read"]
+    films: Annotated[tuple[Path, ...], Option(positional=True, metavar="FILMS", several=True),
+        "body, head, left and right hand, in this order, the body alone, or a folder with body.mp4 and any of "
+        "head.mp4, left.mp4 and right.mp4"] = ()
+    camera: Annotated[str | None, Option(metavar="CAMERA", const=""),
+        "film them now with a webcam, the first one or the one of this name or number, into NAME.films; a window shows "
+        "where to stand and what to do, and films that are there are kept"] = None
     minutes: Annotated[Literal["4", "6", "15", "60"],
         f"of two quiet cores: 4, the fitted template in the films' colors, {FIRST} texels a side; 6, finer textures; "
         f"15, fields of {SHORT} steps a part as well; 60, the whole training"] = "6"
@@ -60,11 +66,18 @@ class MakeCommand:
     def __post_init__(self):
         if self.out.suffix.lower() != ".glb":
             raise ValueError(f"-o should name a .glb file, is {self.out}")
+        if bool(self.films) == (self.camera is not None):
+            raise ValueError("expected FILMS or --camera, one of the two")
 
     @property
     def work(self) -> Path:
         """Where steps leave what they made."""
         return self.out.with_name(self.out.stem + ".making")
+
+    @property
+    def filmed(self) -> Path:
+        """The folder of films that --camera makes."""
+        return self.out.with_name(self.out.stem + ".films")
 
 
 def words_of(reading: FilmOptions) -> list[str]:
@@ -92,6 +105,31 @@ def claim(wanted: MakeCommand) -> None:
     wanted.work.mkdir(exist_ok=True)
     with whole_file(note, "w") as file:
         json.dump(asked, file)
+
+
+def film_yourself(wanted: MakeCommand) -> MakeCommand:
+    """The command with the films that the webcam makes first, where they were not made yet.
+
+    Raises:
+        AssetError: there is no camera or no display.
+    """
+    from capture.raw.filming import film_parts, unfilmed
+    from capture.raw.webcam import open_camera
+    from player.window.picture_window import PictureWindow
+
+    folder = wanted.filmed
+    # once films were read, those that were left out stay out
+    if not wanted.work.exists() and unfilmed(folder):
+        with ExitStack() as held:
+            try:
+                camera = held.enter_context(closing(open_camera(wanted.camera or "")))
+                window = held.enter_context(closing(PictureWindow((1280, 720))))
+            except AssetError as error:
+                raise AssetError(f"{error}; or film with a phone, put body.mp4, head.mp4, left.mp4 and right.mp4 into "
+                                 f"a folder ME, and run selfscan make ME -o {wanted.out}") from None  # fmt: skip
+            folder.mkdir(exist_ok=True)
+            film_parts(folder, camera, window.show)
+    return replace(wanted, films=(folder,), camera=None)
 
 
 def published(product: Path, out: Path, began: float) -> int:
@@ -197,11 +235,15 @@ def main(argv: Sequence[str]) -> int:
         if not film.exists():
             raise AssetError(f"{film}: expected a film, or a folder of them, found nothing")
     check_file(wanted.out)
+    if wanted.camera is not None:
+        wanted = film_yourself(wanted)
     claim(wanted)
     stages = make_stages(wanted)
-    run_stages(stages)
-    if not wanted.out.exists():
-        made = [stage.product for stage in stages if stage.product.suffix == ".glb"]
+    ran = run_stages(stages)
+    made = [stage.product for stage in stages if stage.product.suffix == ".glb"]
+    # a kill may come between an avatar and its taking the place of the one before
+    before = [] if stages[-1].name in ran else made[:-1]
+    if not wanted.out.exists() or any(filecmp.cmp(wanted.out, avatar, shallow=False) for avatar in before):
         kept = made[:-1] if wanted.minutes in ("15", "60") and not worth_it(made[-1], made[-2]) else made
         published(kept[-1], wanted.out, time.monotonic())
     return 0

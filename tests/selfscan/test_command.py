@@ -5,22 +5,30 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 
+import av
+import glfw
 import numpy as np
 import pytest
 import torch
 from memory_use import mounted
+from mesh_distance import mesh_distance
 from recorded_commands import recorded_commands
 from tiny_avatar import tiny_avatar
 
 import selfscan.__main__ as entry
-from avatar.gltf.avatar_file import write_avatar
+from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.gltf.write import GltfBuilder
+from avatar.skeleton import PARTS
+from capture.raw import filming
+from capture.raw.webcam import Webcam
 from command.errors import AssetError
 from command.interrupt import Stopped, deferred_stop
 from files.whole import whole_file
+from player.window.picture_window import PictureWindow
 from selfscan import make
 from selfscan.__main__ import COMMANDS, main
 
@@ -235,10 +243,90 @@ def test_an_avatar_that_was_moved_away_is_put_there_again_and_other_films_are_no
     out.unlink()
     make.main([str(films), "-o", str(out)])
     assert out.read_text() == made and len(ran) == 4
+    # a kill came after the better one was baked, before it took the first one's place
+    out.write_bytes((tmp_path / "me.making" / "first.glb").read_bytes())
+    make.main([str(films), "-o", str(out)])
+    assert out.read_text() == made and len(ran) == 4
     make.main([str(films), "-o", str(out), "--minutes", "4"])
     (films / "body.mp4").write_text("another film")
     with pytest.raises(AssetError, match=r"me\.making: holds the work on other films or options"):
         make.main([str(films), "-o", str(out), "--minutes", "4"])
+
+
+def test_a_webcam_films_first_and_what_was_read_is_not_filmed_again(ran, tmp_path, monkeypatch, osmesa):
+    class Window(PictureWindow):
+        def __init__(self, size):
+            super().__init__(size, null=True)
+
+        def show(self, picture):
+            self.on_key(glfw.KEY_SPACE, glfw.PRESS)
+            pressed = super().show(picture)
+            seen.append(self.screen.read((0, 0, *self.screen.size)))
+            return pressed
+
+    out, seen = tmp_path / "me.glb", []
+    short = (filming.Step(0.1, "in"),)
+    monkeypatch.setattr(filming, "COUNTDOWN", short[0])
+    monkeypatch.setattr(filming, "STEPS", dict.fromkeys(PARTS, short))
+    monkeypatch.setattr("player.window.picture_window.PictureWindow", Window)
+    picture = "color=lime:size=160x90:rate=30,noise=alls=9:allf=t"
+    monkeypatch.setattr("capture.raw.webcam.open_camera", lambda _name: Webcam(av.open(picture, format="lavfi")))
+    assert make.main(["--camera", "-o", str(out)]) == 0
+    assert sorted(path.name for path in (tmp_path / "me.films").iterdir()) == list(FILMS)
+    assert ran[0][3] == str(tmp_path / "me.films") and out.exists()
+    # the room is green, words are white on dark
+    words = seen[0][640:700, 300:980, :3]
+    assert seen[0][500, 640, 1] > 200 and words.max() > 200 and np.median(words) < 60
+
+    def none(_name: str) -> Webcam:
+        raise AssetError("no camera found; there are none")
+
+    monkeypatch.setattr("capture.raw.webcam.open_camera", none)
+    assert make.main(["--camera", "-o", str(out)]) == 0
+    with pytest.raises(AssetError, match=r"no camera found; there are none; or film with a phone, put body\.mp4, head"):
+        make.main(["--camera", "-o", str(tmp_path / "you.glb")])
+
+
+# what `make --minutes 4` leaves, in order
+PRODUCTS = (Path("capture", "capture.json"), Path("first", "run.json"), Path("first.glb"))
+
+
+def start_tiny(*words: object) -> subprocess.Popen:
+    """A command of tiny_commands.py in a process group of its own."""
+    places = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    return subprocess.Popen(
+        [sys.executable, "-m", "tiny_commands", *map(str, words)], stdout=subprocess.DEVNULL, start_new_session=True,
+        env={**os.environ, "PYTHONPATH": places, "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+
+
+def start_make(films: Path, out: Path) -> subprocess.Popen:
+    return start_tiny("make", films, "-o", out, "--minutes", "4", "--stature", "1.753", "--frames", "8")
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_make_goes_on_and_ends_with_the_same_avatar(tmp_path):
+    """Moments of the whole work: what is kept counts as done. SELFSCAN_KILLS says how many; twenty were tried."""
+    films, whole, out = (tmp_path / name for name in ("me", "whole.glb", "killed.glb"))
+    raw = ("--raw", "--keypoints", "--size", "160", "--seconds", "2")
+    assert start_tiny("synth", "builtin", films, *raw).wait() == 0
+    began = time.time()
+    assert start_make(films, whole).wait() == 0
+    ends = {name: (whole.with_suffix(".making") / name).stat().st_mtime - began for name in PRODUCTS}
+    moments = np.random.default_rng(7).uniform(0, max(ends.values()), int(os.environ.get("SELFSCAN_KILLS", "2")))
+    for moment in np.sort(moments):
+        done = max([end for name, end in ends.items() if (out.with_suffix(".making") / name).exists()], default=0.0)
+        process = start_make(films, out)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(max(moment - done, 0.0))
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        assert process.wait() in (0, -signal.SIGKILL)
+    assert start_make(films, out).wait() == 0
+    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tmp", ".partial")]
+    one, other = (read_avatar(path).levels[0] for path in (whole, out))
+    # centimetres
+    assert mesh_distance((one.positions, one.faces), (other.positions, other.faces)).chamfer < 0.05
 
 
 SELFSCAN = f"{sys.executable} -m selfscan"
