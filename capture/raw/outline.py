@@ -35,7 +35,7 @@ def outline(part: str, size: tuple[int, int]) -> Image.Image:
         draw.polygon(triangle, fill=255)
     width = high // 200
     # what is thinner than the line, at ears and between toes, is smoothed away
-    smooth = mask.filter(ImageFilter.GaussianBlur(width)).point(lambda level: 255 * (level > 127))
+    smooth = mask.filter(ImageFilter.GaussianBlur(width)).point([0] * 128 + [255] * 128)
     outer = smooth.filter(ImageFilter.MaxFilter(2 * width + 1))
     line = np.asarray(outer).astype(int) - np.asarray(smooth)
     out = Image.new("RGBA", (wide, high), COLOR)
