@@ -63,7 +63,7 @@ class FaceShapes:
     offsets: Float32[Array, "52 moving 3"]  # at a weight of 1
     # first vertex and count of the left and of the right ball
     balls: UInt32[Array, "2 2"]
-    # of a level below the finest, whose offsets are then those of its sources; None: they are its own
+    # below the finest level: the sources that offsets are interpolated from; None: the level has its own
     follow: Follow | None = None
 
 

@@ -44,7 +44,7 @@ EARLIER_NARROW: JsonObject = {
 }  # fmt: skip
 # two keys of time, value and tangents
 LINEAR = [0, 0, 0, 1, 1, 1, 1, 0]
-# where 0.x expects a headset without being told, from the head's joint, metres
+# where 0.x puts a headset unless a file says otherwise, from the head's joint, metres
 FOREHEAD = (0.0, 0.06, 0.0)
 
 

@@ -30,7 +30,7 @@ TOOTH, NECK, GAP = (236, 226, 210), (222, 204, 180), (140, 108, 94)
 # metres behind the lips up to which it is light, and in which light then falls by a factor of e; the least light
 LIT, DARK, NIGHT = 0.007, 0.014, 0.12
 # u of the template's picture, and of this one: teeth have details, the walls are smooth
-THEIRS, OURS = (0.0, 0.4, 0.8, 1.0), (0.0, 0.14, 0.86, 1.0)
+TEMPLATE_U, MOUTH_U = (0.0, 0.4, 0.8, 1.0), (0.0, 0.14, 0.86, 1.0)
 # where a tooth ends on the way from the outer gum to the inner one; widths of teeth along half an arch, mm
 CROWN, EDGE = 0.36, 2 / 3
 UPPER_WIDTHS, LOWER_WIDTHS = (8.6, 6.8, 7.8, 7.0, 7.0, 10.0), (5.3, 5.9, 6.9, 7.0, 7.2, 11.0)
@@ -69,7 +69,7 @@ def mouth_behind(
     return Mouth(
         np.concatenate([upper, upper, places[:, 0], parts]),
         np.concatenate(offsets, 1).astype(np.float32),
-        np.c_[np.interp(places_uv[:, 0], THEIRS, OURS), places_uv[:, 1]],
+        np.c_[np.interp(places_uv[:, 0], TEMPLATE_U, MOUTH_U), places_uv[:, 1]],
         np.concatenate(faces),
     )
 

@@ -66,14 +66,14 @@ def framing(points: Float[np.ndarray, "n 3"], azimuth: float) -> Camera:
     return orbit_camera(middle, 1.1 * radius / np.tan(FOV / 2), azimuth, 0.0, SIZE, FOV)
 
 
-class FaceError(NamedTuple):
+class FaceOffset(NamedTuple):
     """Mean distance of the features in pose 0, millimetres."""
 
     shape: float  # the features aligned by themselves
     on_head: float  # the head aligned
 
 
-def face_landmarks_mm(template: CaptureSubject, case: GeometryCase, pair: PosedPair) -> FaceError | None:
+def face_landmarks_mm(template: CaptureSubject, case: GeometryCase, pair: PosedPair) -> FaceOffset | None:
     """The features' errors; None: the truth or the template names none."""
     truth = case.truth.face
     if truth is None or not template.on_free_body:
@@ -89,4 +89,4 @@ def face_landmarks_mm(template: CaptureSubject, case: GeometryCase, pair: PosedP
     own /= np.cbrt(np.linalg.det(own))
     off = (ours - ours.mean(0)) @ own.T - (truth[INNER] - truth[INNER].mean(0))
     on_head = ours @ T[:3, :3].T + T[:3, 3] - truth[INNER]
-    return FaceError(*(MILLIMETRES * float(np.linalg.norm(x, axis=1).mean()) for x in (off, on_head)))
+    return FaceOffset(*(MILLIMETRES * float(np.linalg.norm(x, axis=1).mean()) for x in (off, on_head)))

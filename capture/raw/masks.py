@@ -157,7 +157,7 @@ def _differs(
 
 
 def _clear(unlit: Float[Array, "height width"], near: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
-    """Where the room is seen beyond doubt, between legs or behind a ponytail too: lit as in the plate over more than
+    """Where the room is surely seen, between legs or behind a ponytail too: lit as in the plate over more than
     specks, off the lines of limbs. The walk loses such gaps: small ones hold no seeds."""
     clear = np.asarray(ndimage.binary_opening((unlit < LIT) & ~near), bool)
     labels = pieces(clear)

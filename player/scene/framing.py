@@ -18,7 +18,7 @@ FOV = np.radians(35.0)  # vertical
 # a little from above, as one stands before a person
 ELEVATION = np.radians(4.0)
 MARGIN = 0.06  # share of the picture's width and height, left free on each side
-NEAREST = 0.05  # of the largest extent of the points; none is nearer to the lens
+NEAREST = 0.05  # share of the points' largest extent that the nearest of them keeps before the lens
 # directions that a camera going round is checked from
 SIDES = 48
 
