@@ -19,6 +19,7 @@ FOV = np.radians(35.0)  # vertical
 ELEVATION = np.radians(4.0)
 MARGIN = 0.06  # share of the picture's width and height, left free on each side
 NEAREST = 0.05  # share of the points' largest extent that the nearest of them keeps before the lens
+ALONE = 0.1  # metres, of a single place before the lens
 # directions that a camera going round is checked from
 SIDES = 48
 
@@ -122,7 +123,7 @@ def view_from(eye: Sequence[float], target: Sequence[float]) -> View:
 
 
 def _nearest(points: Float[Array, "points 3"]) -> float:
-    return NEAREST * float(np.ptp(points, axis=0).max())
+    return NEAREST * float(np.ptp(points, axis=0).max()) or ALONE
 
 
 def _slopes(size: tuple[int, int], fov: float) -> tuple[float, float]:

@@ -15,7 +15,7 @@ BUDGET = {
     "capture": 12_310,
     "train": 5_380,
     "bake": 6_012,
-    "player": 20_014,
+    "player": 20_015,
     "shaders": 970,
     "synth": 3_791,
     "bench": 5_214,

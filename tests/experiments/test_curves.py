@@ -18,7 +18,7 @@ from experiments.curve_page import items_table, seconds_to
 from experiments.curves import leaves_out, main
 from train.preset import DEMO, ITEMS
 
-CAPTURE = {"format": "selfscan-capture", "subject": "Person", "light": "even", "size": 64}
+CAPTURE = {"format": "selfscan-capture", "version": 1, "subject": "Person", "light": "even", "size": 64}
 
 
 def point(seconds: float, decibels: float, **changed) -> dict:
