@@ -33,11 +33,12 @@ class ShownVideo(NamedTuple):
     pixel: float  # metres on the person
 
 
-def align_frames(
+def aligned_frames(
     equations: Equations, video: ShownVideo, given: Float[Array, "texels 3"], change: Float[Array, "texels 3"]
-) -> float:
-    """Move what the pixels show, in place, onto the atlas `given + change` as each frame sees it; the shifts' mean
-    length, metres."""
+) -> tuple[Equations, float]:
+    """What the pixels show, moved onto the atlas `given + change` as each frame sees it; the shifts' mean length,
+    metres."""
+    wanted = equations.wanted.copy()
     root = np.asarray(equations.matrix.sum(1)).ravel()
     ends = np.cumsum([0, *map(len, video.frames)])
 
@@ -59,11 +60,11 @@ def align_frames(
         shift = frame_shift(drawn, shown, known, video.pixel)
         there, whole = moved_colors(shown, known, shift)
         colors = np.where(whole[..., None], there, shown)[row, column]
-        equations.wanted[rows] = (colors - before) * weight
+        wanted[rows] = (colors - before) * weight
         return float(np.linalg.norm(shift[known], axis=1).sum())
 
     total = sum(on_all_cores(moved, range(len(video.frames))))
-    return video.pixel * total / max(int(ends[-1]), 1)
+    return equations._replace(wanted=wanted), video.pixel * total / max(int(ends[-1]), 1)
 
 
 def frame_shift(

@@ -21,7 +21,7 @@ from bake.level import BakedLevel, PlacesOnFinest, rounded, with_picture
 from bake.promises import Facts
 from bake.run_capture import RunVideos
 from bake.texture.fill import TexelSurface, filled_colors
-from bake.texture.frame_alignment import ShownVideo, align_frames
+from bake.texture.frame_alignment import ShownVideo, aligned_frames
 from bake.texture.pixel_reads import (
     AtlasMesh,
     PixelReads,
@@ -67,6 +67,8 @@ WHOLE_HEAD = 0.95
 STRANGE = 0.06
 # difference of a pixel's color from what the others show, sRGB, at which it counts a quarter where poses were estimated
 DOUBTED = 0.15
+# how often frames are moved where poses were estimated, each time from where they were: first onto the blur of them all
+MOVES = 2
 # frames that show a texel, away from outlines, up to which it counts as unseen, and from which as seen; the same of
 # their mean squared cosine: at grazing angles a frame shows the colors of a print as one grey
 UNSEEN, SEEN = 0.3, 1.0
@@ -141,18 +143,20 @@ def solve_texture(
     prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
     # what frames are moved onto need not be solved to the end
     rounds = ROUNDS // 2 if videos.estimated else ROUNDS
-    solution = solve_change(found.equations, prior, pairs, stiff=seams, rounds=rounds)
-    belief = [np.ones(1, np.float32)] * len(PARTS)
+    equations, belief = found.equations, [np.ones(1, np.float32)] * len(PARTS)
+    solution = solve_change(equations, prior, pairs, stiff=seams, rounds=rounds)
     if videos.estimated:
-        for name, own, video in zip(PARTS, found.equations, found.shown, strict=True):
-            facts[name]["moved_mm"] = rounded(align_frames(own, video, given, solution) * 1e3)
+        for move in range(MOVES):
+            if move:
+                solution = solve_change(equations, prior, pairs, stiff=seams, rounds=rounds)
+            equations = moved_onto(found, given, solution, facts)
         moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
         report(f"frames moved onto the texture they agree on, mm: {moved}")
-        belief = [doubted(own, solution) for own in found.equations]
-        solution = solve_change(found.equations, prior, pairs, stiff=seams)
+        belief = [doubted(own, solution) for own in equations]
+        solution = solve_change(equations, prior, pairs, stiff=seams)
     surface = texel_surface(mesh, found.texel)
     solved = np.clip(within_shown(given + solution, given, surface.points, found.ranges), 0, 1)
-    for name, own, sure in zip(PARTS, found.equations, belief, strict=True):
+    for name, own, sure in zip(PARTS, equations, belief, strict=True):
         # every pixel counts, those that were doubted as well
         left = (own.wanted - own.matrix @ (solved - given)) / sure[:, None]
         facts[name]["rms_after"] = rounded(255 * _rms(left, weight_roots(own.matrix) / sure))
@@ -167,6 +171,18 @@ def solve_texture(
     facts["unseen_share"] = rounded(unseen)
     report(f"textures: {unseen * 100:.0f} % of the surface was in no video, filled by material")
     return VideoTexture(image, mesh.texels, facts)
+
+
+def moved_onto(
+    found: ReadVideos, given: Float[Array, "texels 3"], change: Float[Array, "texels 3"], facts: Facts
+) -> list[Equations]:
+    """The equations as read, each frame moved onto the atlas `given + change`; how far goes into `facts`."""
+    result = []
+    for name, own, video in zip(PARTS, found.equations, found.shown, strict=True):
+        moved, mean = aligned_frames(own, video, given, change)
+        facts[name]["moved_mm"] = rounded(mean * 1e3)
+        result.append(moved)
+    return result
 
 
 def read_videos(

@@ -361,6 +361,23 @@ def test_what_one_frame_shows_alone_is_doubted_and_still_counts_in_what_is_said(
     assert doubted_one.facts["body"]["rms_after"] > believed.facts["body"]["rms_after"]
 
 
+def test_frames_beside_each_other_are_sharper_moved_again(painted, videos, monkeypatch):
+    """Every other frame of the body a pixel to the left, the rest a pixel to the right."""
+    body = videos.video("body")
+    beside = [(-1) ** frame for frame in range(len(body.images))]
+    images, masks = (np.stack([np.roll(one, by, 1) for one, by in zip(all_of, beside, strict=True)])
+                     for all_of in (body.images, body.masks))  # fmt: skip
+    found = {**videos.found, "body": replace(body, images=images, masks=masks)}
+    filmed = replace(videos, estimated=True, found=found)
+    level = painted.levels[0]
+    grey = level_of_file(replace(level, base_color=np.full_like(level.base_color, 128)))
+    left = {}
+    for moves in (1, 2):
+        monkeypatch.setattr(video_texture, "MOVES", moves)
+        left[moves] = solve_texture(grey, painted.joint_positions, filmed, lambda line: None).facts["body"]["rms_after"]
+    assert left[2] < 0.97 * left[1]
+
+
 def test_a_pixel_that_shows_something_else_counts_less():
     shown = np.float32([[0.3], [0.3], [0.3], [0.9]]) * np.ones((1, 3), np.float32)
     one = csr_matrix(np.ones((4, 1), np.float32))
