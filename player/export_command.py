@@ -89,6 +89,7 @@ def export_main(argv: list[str]) -> int:
 
 
 def export_vrm(options: ExportCommand, avatar: Avatar) -> int:
+    """Write the avatar as .vrm, with who may use this likeness."""
     likeness = Likeness(avatar.name, options.author or avatar.name, options.who)
     version = 0 if options.vrm0 else 1
     write_vrm(options.output, options.avatar, likeness, pelvis_height(avatar), version=version)

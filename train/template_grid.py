@@ -103,5 +103,6 @@ def template_grid(
     cell: float,
     closed: tuple[CaptureSubject, float] | None = None,
 ) -> TemplateGrid:
+    """Distances to the template on a grid of cells of so many metres, as a tensor."""
     grid = distance_grid(cloud, low, high, cell, closed)
     return TemplateGrid(torch.from_numpy(grid.values), torch.from_numpy(grid.low), cell)

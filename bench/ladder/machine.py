@@ -53,6 +53,7 @@ def times_of(context: Context, work: Callable[[], object]) -> tuple[float, float
 
 
 def cpu_name() -> str:
+    """What the processor calls itself; where it does not say, its architecture."""
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):

@@ -50,6 +50,10 @@ def solve(
 def assemble(
     estimate: Estimate, footage: Footage, priors: Priors, cut: float, terms: tuple[Term, ...]
 ) -> tuple[NormalEquations, float]:
+    """The normal equations of priors, keypoints and terms at an estimate, and their cost.
+
+    `cut` is the residual, in standard deviations, from which a keypoint counts little.
+    """
     layout = shared_layout(estimate, footage)
     equations = NormalEquations(len(estimate.root), 6 + 3 * len(footage.moving), layout.count)
     frames = posed_frames(estimate)

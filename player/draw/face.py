@@ -199,6 +199,7 @@ class FacePass(Pass):
         return drawn + self.face.motion.ms
 
     def decide(self, drawing: Drawing) -> Decision:
+        """Whether the face moves in this picture: not out of view, small or at rest."""
         pose, bones = drawing.inputs.poses[self.face.avatar], drawing.bones[self.face.avatar]
         if not drawing.visible[self.face.avatar]:
             return OUT_OF_VIEW

@@ -172,6 +172,7 @@ def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Ef
 
 
 def film_at_once(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
+    """Draw and encode the whole film in this process."""
     path, began = Path(command.output), time.perf_counter()
     with ShotRenderer(shot, stage, context) as drawn:
         film = drawn.film(path, progress(range(shot.start, shot.stop), "frames", shot.stop - shot.start))

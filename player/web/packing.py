@@ -116,6 +116,7 @@ class PackedFace(NamedTuple):
 
 
 def packed_face(level: Level, eyes: tuple[Eye, Eye]) -> PackedFace:
+    """The shapes of a level and how its eyes turn, as the page reads them."""
     blend, face = FaceBlend(level, eyes), level.face
     assert face is not None, "asked of levels with a face"
     _, how, data = _range("shapes", face.offsets.transpose(1, 0, 2).reshape(len(face.vertices), -1), COARSE)
