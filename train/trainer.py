@@ -25,8 +25,8 @@ REPORT_EVERY = 10  # steps between rows of the log
 
 
 def rate_at(iteration: int, part: PartPreset, preset: Preset) -> float:
-    """Learning rate against its first value: linear warm-up, exponential decay."""
-    warm = min((iteration + 1) / max(preset.warm_up, 1), 1.0)
+    """Learning rate against its first value: linear warm-up, at most a tenth of all steps, and exponential decay."""
+    warm = min((iteration + 1) / max(min(preset.warm_up, part.iterations / 10), 1), 1.0)
     return warm * preset.last_rate ** (iteration / part.iterations)
 
 

@@ -2,7 +2,8 @@
 
 Every person is filmed once for each kind of input (OUT/PERSON/INPUT/capture), every system is trained on it for the
 same processor seconds (.../seedN/SYSTEM), and judged on the same held-out pictures (.../seedN/SYSTEM.json). What is
-there stays: the same command goes on where it stopped. OUT/rivals.json and OUT/README.md are made of all rows in OUT.
+there stays: the same command goes on where it stopped. OUT/rivals.json and OUT/README.md are made of all rows in OUT
+and of those that rivals.json had: films and runs of finished people may be removed.
 """
 
 import argparse
@@ -106,32 +107,45 @@ def learning_seconds(run: Path) -> dict[str, Any]:
 
 
 def collect(out: Path) -> list[dict[str, Any]]:
-    """Every row that is there."""
-    rows = []
+    """Every row that is there, in folders or in rivals.json alone."""
+    kept = out / "rivals.json"
+    before = read_json_object(kept, "rows of rivals")["rows"] if kept.exists() else []
+    rows = {name_of(row): row for row in before}
     for path in sorted(out.glob("*/*/seed*/*.json")):
         system, seed, kind, person = path.stem, path.parent.name[4:], path.parents[1].name, path.parents[2].name
         if system not in TITLES:
             continue
         run = {"ours_baked": "ours"}.get(system, system)
         found = json.loads(path.read_text("utf-8"))
-        rows.append({"system": system, "person": person, "input": KINDS[kind], "seed": int(seed),
-                     **learning_seconds(path.parent / run), **found})  # fmt: skip
-    return rows
+        row = {"system": system, "person": person, "input": KINDS[kind], "seed": int(seed),
+               **learning_seconds(path.parent / run), **found}  # fmt: skip
+        rows[name_of(row)] = row
+    return [rows[name] for name in sorted(rows)]
+
+
+def name_of(row: dict[str, Any]) -> tuple[str, str, int, str]:
+    """Person, input, seed and system."""
+    return row["person"], row["input"], row["seed"], row["system"]
 
 
 def run_all(options: Options, given: argparse.Namespace) -> list[str]:
     """Every row that was asked for; what could not be made, in words."""
-    absent = []
+    absent, there = [], {name_of(row) for row in collect(given.out)}
+    # the others take the head's place from ours
+    systems = sorted(given.systems, key=list(TITLES).index)
     for person in given.people:
         for kind in given.inputs:
             folder = given.out / folder_of(person) / kind
-            folder.mkdir(parents=True, exist_ok=True)
-            films, truth = capture_stages(options, person, kind, folder)
-            run_stages(films)
             for seed in given.seeds:
-                (folder / f"seed{seed}").mkdir(exist_ok=True)
-                # the others take the head's place from ours
-                for system in sorted(given.systems, key=lambda name: list(TITLES).index(name)):
+                wanted = [name for name in systems if (folder_of(person), KINDS[kind], seed, name) not in there]
+                if not wanted:
+                    continue
+                (folder / f"seed{seed}").mkdir(parents=True, exist_ok=True)
+                films, truth = capture_stages(options, person, kind, folder)
+                run_stages(films)
+                if wanted[0] != "ours":
+                    run_stages(row_stages(options, "ours", seed, folder, truth)[:1])
+                for system in wanted:
                     note(f"{folder_of(person)}, {KINDS[kind]}, seed {seed}: {system}")
                     try:
                         run_stages(row_stages(options, system, seed, folder, truth))

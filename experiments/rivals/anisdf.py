@@ -44,7 +44,7 @@ from train.weight_file import read_weights
 
 POSE = 153  # numbers: all joints but the root
 # width of the density at first and at least, metres
-BETA, LEAST_BETA = 0.005, 1e-3
+BETA, LEAST_BETA = 0.002, 5e-4
 
 
 def anisdf_preset(preset: Preset) -> Preset:

@@ -123,6 +123,7 @@ class NerfColor(nn.Module):
         super().__init__()
         self.feature, self.with_code = nn.Linear(feature, width), nn.Linear(width + code, width)
         self.seen, self.out = nn.Linear(width + 27 + beside, width // 2), nn.Linear(width // 2, 3)
+        begin_as_wide(self.feature, 1.0), begin_as_wide(self.with_code, 1.0), begin_as_wide(self.seen, 2.0)
 
     def forward(
         self, feature: Float[Tensor, "n f"], code: Float[Tensor, "n l"], direction: Float[Tensor, "n 3"],
@@ -132,6 +133,15 @@ class NerfColor(nn.Module):
         inputs = [self.with_code(torch.cat([self.feature(feature), code], -1)), positional_encoding(direction, 4)]
         inputs += [] if beside is None else [beside]
         return torch.sigmoid(self.out(torch.relu(self.seen(torch.cat(inputs, -1)))))
+
+
+def begin_as_wide(network: nn.Module, gain: float) -> None:
+    """He et al.'s weights (2015): what a network is given is as wide after each layer. By torch's own it shrinks at
+    each, and a hundred steps go by before colors depend on features."""
+    for layer in network.modules():
+        if isinstance(layer, nn.Linear):
+            nn.init.normal_(layer.weight, std=(gain / layer.in_features) ** 0.5)
+            nn.init.zeros_(layer.bias)
 
 
 def density_of(raw: Float[Tensor, "n"]) -> Float[Tensor, "n"]:

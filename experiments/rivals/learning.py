@@ -30,7 +30,7 @@ from train.session import exclusive_lock
 from train.trainer import Position, flushed_denormals, load_checkpoint, save_checkpoint
 from train.weight_file import read_weights
 
-WARM_UP = 50  # steps
+WARM_UP = 10  # steps
 SAVE_EVERY = 30.0  # seconds
 
 
@@ -42,8 +42,8 @@ class Budget:
     seconds: float = float("inf")
     steps: int = 1_000_000
     rays: int = 1024  # of one frame, in a step
-    rate: float = 2e-3  # of Adam at first
-    last_rate: float = 0.05  # share of it in the end
+    rate: float = 4e-3  # of Adam at first
+    last_rate: float = 0.2  # share of it in the end
     mask_weight: float = 0.1
     norm: bool = False  # L_rgb as Eq. 11 prints it
     seed: int = 0
