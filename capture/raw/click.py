@@ -3,7 +3,7 @@
 Twelve joints, and the nose, without which limbs seen from before and from behind are the same. The page is served on
 127.0.0.1 alone, under a name that cannot be guessed. What was clicked is written as MMPose does, in Halpe's order. Of
 all other frames only the ankles are written, between where they were clicked: enough to know that a person is there,
-too little to be fitted.
+too little to be fitted. Each click is kept as it comes: who stops and begins again goes on with the next joint.
 """
 
 import io
@@ -25,8 +25,8 @@ from capture.raw.glance import SMALL
 from capture.raw.judge import FEWEST_CLEAR
 from capture.raw.video_file import VideoFile, read_frames
 from command.errors import AssetError
-from files.input_file import parse_json
-from files.whole import whole_file
+from files.input_file import Json, parse_json, read_bytes
+from files.whole import whole_file, write_json
 
 LIMBS = (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
 POINTS = (*(f"{side}_{name}" for limb in LIMBS for side in SIDES for name in limb), "nose")
@@ -53,10 +53,12 @@ def click_joints(video: VideoFile, out: Path, say: Callable[[str], None] = print
     numbers = np.linspace(first, count - 1, 2 * PICTURES + 1)[1::2].astype(int).tolist()
     pictures = {frame.number: frame.picture for frame in read_frames(video, only=frozenset([0, *numbers]))}
     room = pictures[0].astype(np.int16)
-    clicked = answered({k: pictures[k] for k in numbers}, say)
+    draft = out.with_suffix(".clicks")
+    clicked = answered({k: pictures[k] for k in numbers}, say, draft)
     off = [np.abs(pictures[k][int(y), int(x)] - room[int(y), int(x)]).max() > CHANGE
            for k, rows in clicked.items() for x, y, seen in rows if seen]  # fmt: skip
     write_clicked(out, clicked, count, first if off and np.mean(off) > OFF_ROOM else 0)
+    draft.unlink(missing_ok=True)
 
 
 def _changes(video: VideoFile) -> Float[Array, "frames"]:
@@ -69,11 +71,17 @@ def _changes(video: VideoFile) -> Float[Array, "frames"]:
     return np.array(out)
 
 
-def answered(pictures: Mapping[int, UInt8[Array, "height width 3"]], say: Callable[[str], None]) -> Clicked:
-    """Serve the page until its answer comes: x, y and whether it is seen of each of POINTS, by picture."""
+def answered(
+    pictures: Mapping[int, UInt8[Array, "height width 3"]], say: Callable[[str], None], draft: Path
+) -> Clicked:
+    """Serve the page until its answer comes: x, y and whether it is seen of each of POINTS, by picture.
+
+    What was done so far is kept in the file `draft`, and the page begins with it.
+    """
     place, found = f"/{secrets.token_urlsafe(16)}/", {}
     page = (files("capture.raw") / "click.html").read_text("utf-8")
-    facts = json.dumps({"pictures": sorted(pictures), "points": POINTS, "fewest": FEWEST_CLEAR})
+    begun = _read_log(read_bytes(draft, "clicks", most=MOST_BYTES), str(draft)) if draft.exists() else []
+    facts = json.dumps({"pictures": sorted(pictures), "points": POINTS, "fewest": FEWEST_CLEAR, "log": begun})
     content = {place: ("text/html; charset=utf-8", page.replace("@FACTS@", facts).encode())}
     content |= {f"{place}{k}.jpg": ("image/jpeg", _jpeg(picture)) for k, picture in pictures.items()}
 
@@ -83,10 +91,15 @@ def answered(pictures: Mapping[int, UInt8[Array, "height width 3"]], say: Callab
 
         def do_POST(self) -> None:
             length = self.headers.get("Content-Length", "")
-            if self.path != f"{place}points" or not (length.isdecimal() and int(length) <= MOST_BYTES):
+            sent = {f"{place}points", f"{place}log"}
+            if self.path not in sent or not (length.isdecimal() and int(length) <= MOST_BYTES):
                 return self.send(404, "text/plain", b"")
+            data = self.rfile.read(int(length))
             try:
-                found.update(_read_answer(self.rfile.read(int(length)), pictures))
+                if self.path == f"{place}log":
+                    write_json(draft, _read_log(data, "clicks"))
+                    return self.send(200, "text/plain", b"")
+                found.update(_read_answer(data, pictures))
             except AssetError as error:
                 return self.send(400, "text/plain; charset=utf-8", str(error).encode())
             self.send(200, "text/plain", b"")
@@ -112,6 +125,25 @@ def _jpeg(picture: UInt8[Array, "height width 3"]) -> bytes:
     file = io.BytesIO()
     Image.fromarray(picture).save(file, "JPEG", quality=92)
     return file.getvalue()
+
+
+def _read_log(data: bytes, place: str) -> list[Json]:
+    """What was done on the page, in order: [x, y], "hidden" or "pass".
+
+    Raises:
+        AssetError: it is something else.
+    """
+    log = parse_json(data, place, "what was clicked")
+    if not isinstance(log, list) or len(log) > PICTURES * (len(POINTS) + 1):
+        raise AssetError(f"{place}: expected a list of at most {PICTURES * (len(POINTS) + 1)} clicks")
+    for entry in log:
+        if entry in ("hidden", "pass"):
+            continue
+        if not isinstance(entry, list) or len(entry) != 2:
+            raise AssetError(f"{place}: expected [x, y], hidden or pass, found {str(entry)[:40]!r}")
+        for value in entry:
+            number(place, value)
+    return log
 
 
 def _read_answer(data: bytes, pictures: Mapping[int, Array]) -> Clicked:

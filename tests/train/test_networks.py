@@ -93,6 +93,13 @@ def test_the_paper_preset_holds_the_supplements_numbers():
     assert [p.band.outside for p in PAPER.parts] == [0.1, 0.04, 0.1, 0.1]
 
 
+def test_a_short_training_warms_up_for_a_tenth_of_its_steps_at_most():
+    short = replace(DEMO.parts[0], iterations=200)
+    at_full = [next(n for n in range(200) if rate_at(n, part, DEMO) >= DEMO.last_rate ** (n / part.iterations))
+               for part in (short, replace(short, iterations=2000))]  # fmt: skip
+    assert at_full == [19, DEMO.warm_up - 1] and rate_at(0, short, DEMO) == pytest.approx(1 / 20)
+
+
 @pytest.mark.parametrize(
     "iteration, rho",
     [(0, 50), (9_999, 50), (10_000, 100), (20_000, 200), (49_999, 800), (50_000, 1600), (99_999, 1600)],

@@ -26,12 +26,16 @@ from selfscan.__main__ import main
 PICTURES = {k: np.full((90, 120, 3), 8 * k, np.uint8) for k in range(3, 10)}
 
 
-@pytest.fixture
-def page():
+def served(draft):
     """The page's address, and what is found once it was answered."""
     said, found = Queue(), Queue()
-    threading.Thread(target=lambda: found.put(answered(PICTURES, said.put)), daemon=True).start()
+    threading.Thread(target=lambda: found.put(answered(PICTURES, said.put, draft)), daemon=True).start()
     return said.get(timeout=60), found
+
+
+@pytest.fixture
+def page(tmp_path):
+    return served(tmp_path / "body.clicks")
 
 
 def ask(address, data=None):
@@ -60,6 +64,16 @@ def test_only_who_knows_its_name_gets_the_page_and_a_wrong_answer_is_named(page)
     clicked = found.get(timeout=60)
     assert (clicked[4] == [1.5, 2, 1]).all() and clicked[5][:12].sum() == 0
     np.testing.assert_allclose(clicked[5][12], [120, 3, 1])
+
+
+def test_each_click_is_kept_and_the_page_begins_with_them(page, tmp_path):
+    done = [[10.5, 20], "hidden", "pass"]
+    ask(f"{page[0]}log", done)
+    for wrong in ([[1]], ["other"], [[1, "x"]], {}, done * 100):
+        with pytest.raises(HTTPError, match="400"):
+            ask(f"{page[0]}log", wrong)
+    again, _ = served(tmp_path / "body.clicks")
+    assert f'"log": {json.dumps(done)}'.encode() in ask(again)
 
 
 @pytest.mark.slow
@@ -97,7 +111,7 @@ def clicks(found, noise):
     """Stands for the person: clicks as `found` has it, `noise` pixels off, the first picture passed over."""
     rng = np.random.default_rng(0)
 
-    def answer(pictures, _say):
+    def answer(pictures, _say, _draft):
         out = {}
         for k in sorted(pictures)[1:]:
             rows = np.stack([found.seen(name)[k] for name in POINTS])
