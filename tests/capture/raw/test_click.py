@@ -30,7 +30,7 @@ def served(draft):
     """The page's address, and what is found once it was answered."""
     said, found = Queue(), Queue()
     threading.Thread(target=lambda: found.put(answered(PICTURES, said.put, draft)), daemon=True).start()
-    return said.get(timeout=60), found
+    return said.get(timeout=600), found
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_only_who_knows_its_name_gets_the_page_and_a_wrong_answer_is_named(page)
         assert said in refusal.value.read().decode()
     assert found.empty()
     ask(f"{address}points", rows | {"5": [None] * 12 + [[1e4, 3]]})
-    clicked = found.get(timeout=60)
+    clicked = found.get(timeout=600)
     assert (clicked[4] == [1.5, 2, 1]).all() and clicked[5][:12].sum() == 0
     np.testing.assert_allclose(clicked[5][12], [120, 3, 1])
 
