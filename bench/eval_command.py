@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from avatar.gltf.avatar_file import avatar_place
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.settings import AtLeast
@@ -38,14 +39,15 @@ from the truth.""",
 def eval_main(argv: list[str]) -> int:
     """`selfscan eval RUN_OR_AVATAR CAPTURE [--json FILE]`."""
     command = parse(EvalCommand, argv, EVAL)
-    if not command.subject.exists():
-        raise AssetError(f"{command.subject}: expected a run folder or an avatar file, found nothing")
+    subject = avatar_place(command.subject)
+    if not subject.exists():
+        raise AssetError(f"{subject}: expected a run folder or an avatar file, found nothing")
     if command.json:
         check_file(command.json)
     from bench.score.quality import evaluate
     from bench.score.quality_table import print_table
 
-    result = evaluate(command.subject, command.capture, poses=command.poses, run=command.run, lpips=command.lpips)
+    result = evaluate(subject, command.capture, poses=command.poses, run=command.run, lpips=command.lpips)
     print_table(result)
     if command.json:
         write_json(command.json, result)

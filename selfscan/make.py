@@ -231,12 +231,15 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
 def main(argv: Sequence[str]) -> int:
     """Parse the command line and make the avatar."""
     wanted = parse(MakeCommand, argv, ABOUT)
+    from capture.raw.four_videos import find_videos
+
     for film in wanted.films:
         if not film.exists():
             raise AssetError(f"{film}: expected a film, or a folder of them, found nothing")
     check_file(wanted.out)
     if wanted.camera is not None:
         wanted = film_yourself(wanted)
+    find_videos(wanted.films)  # anything wrong is said before work begins
     claim(wanted)
     stages = make_stages(wanted)
     ran = run_stages(stages)

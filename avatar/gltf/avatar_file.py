@@ -110,10 +110,14 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
     return avatar
 
 
+def avatar_place(path: str | Path) -> Path:
+    """Where an avatar's file is; `builtin` travels with the program."""
+    here = str(path) != BUILTIN or Path(path).exists()
+    return Path(path) if here else Path(str(files("avatar") / "data" / "avatar" / "man.glb"))
+
+
 def avatar_gltf(path: str | Path) -> Gltf:
-    if str(path) == BUILTIN and not Path(path).exists():
-        path = str(files("avatar") / "data" / "avatar" / "man.glb")
-    return read_gltf(path)
+    return read_gltf(avatar_place(path))
 
 
 def _extension(path: str | Path) -> tuple[Gltf, JsonObject]:

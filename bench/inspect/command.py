@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 
-from avatar.gltf.avatar_file import read_avatar
+from avatar.gltf.avatar_file import avatar_place, read_avatar
 from bench.inspect import accuracy_sections as accuracy
 from bench.inspect import drawn_sections as drawn
 from bench.inspect import surface_sections as surface
@@ -24,7 +24,7 @@ def inspect(options: InspectCommand) -> Inspector:
     Raises:
         AssetError: avatar or run cannot be read, or the folder holds other files.
     """
-    path, run, avatar = options.avatar, options.run, read_avatar(options.avatar)
+    path, run, avatar = avatar_place(options.avatar), options.run, read_avatar(options.avatar)
     try:
         field = None if run is None else accuracy.from_run(avatar.levels[0], run)
     except ModuleNotFoundError as error:

@@ -26,6 +26,9 @@ def check_capture(arguments: CheckCommand) -> int:
         return _check_videos(arguments)
     if arguments.keypoints:
         raise AssetError(f"--keypoints: is for videos as filmed, {first} is a capture")
+    if first.is_dir() and not (first / "capture.json").exists():
+        raise AssetError(f"{first}: expected a capture, as `selfscan import` and `selfscan synth` make it, or films "
+                         "(body.mp4, head.mp4, left.mp4, right.mp4), found neither")  # fmt: skip
     capture = read_capture(first)
     try:
         report = examine(capture)

@@ -18,7 +18,7 @@ from numpy import ndarray as Array
 from PIL import Image, ImageDraw, ImageFont
 
 from avatar.skeleton import PARTS
-from capture.raw.four_videos import ENDINGS, NAMES
+from capture.raw.four_videos import NAMES, films_in, named_parts
 from capture.raw.judge import CALLED
 from capture.raw.outline import COLOR, outline
 from capture.raw.webcam import Webcam, WebcamFilm
@@ -70,8 +70,8 @@ class _Cancelled(Exception):
 
 def unfilmed(folder: Path) -> list[str]:
     """The parts of which no film is in a folder."""
-    return [part for part in PARTS
-            if not any((folder / (name + ending)).exists() for name in NAMES[part] for ending in ENDINGS)]  # fmt: skip
+    filmed = named_parts(films_in(folder)) if folder.is_dir() else {}
+    return [part for part in PARTS if part not in filmed]
 
 
 def film_parts(folder: Path, camera: Webcam, show: Show) -> None:

@@ -32,26 +32,36 @@ SEEN = ("times", "small", "sharpness")
 KEYPOINTS = f"{WHAT} of body, head, hand_left and hand_right"
 
 
+def films_in(folder: Path) -> list[Path]:
+    """The films in a folder; phones write .MOV."""
+    films = [path for path in folder.iterdir() if path.suffix.lower() in ENDINGS and path.is_file()]
+    return sorted(films, key=lambda path: (ENDINGS.index(path.suffix.lower()), path.name))
+
+
+def named_parts(films: Sequence[Path]) -> dict[str, Path]:
+    """Films by the part that their name says, in the order of PARTS; the first of a part."""
+    found = {name: path for path in reversed(films) for name, names in NAMES.items() if path.stem.lower() in names}
+    return {part: found[part] for part in PARTS if part in found}
+
+
 def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
     """The videos by part: the body's alone; four files in the order body, head, left, right; two or three that are
-    called so; or a folder that holds the body's and any of the others.
+    called so; or a folder that holds the body's and any of the others, or one film alone.
 
     Raises:
         AssetError: the body's is missing, a name says no part, or two files are one film.
     """
     if len(paths) == 1 and paths[0].is_dir():
-        places = {part: [paths[0] / (name + ending) for name in NAMES[part] for ending in ENDINGS] for part in PARTS}
-        out = {part: next((path for path in files if path.is_file()), None) for part, files in places.items()}
-        out = {part: path for part, path in out.items() if path is not None}
+        films = films_in(paths[0])
+        out = {PARTS[0]: films[0]} if len(films) == 1 and not named_parts(films) else named_parts(films)
         if "body" not in out:
             raise AssetError(f"{paths[0]}: expected body.mp4, and head.mp4, left.mp4, right.mp4 as far as "
-                             f"filmed, found {', '.join(p.name for p in out.values()) or 'none'}")  # fmt: skip
+                             f"filmed, found {', '.join(p.name for p in films) or 'no film'}")  # fmt: skip
     elif len(paths) in (1, len(PARTS)):
         out = {str(part): path for part, path in zip(PARTS, paths)}
     else:
-        named = {name: part for part, names in NAMES.items() for name in names}
-        out = {named.get(path.stem, ""): path for path in paths}
-        if "body" not in out or "" in out or len(out) < len(paths):
+        out = named_parts(paths)
+        if "body" not in out or len(out) < len(paths):
             found = ", ".join(path.name for path in paths)
             raise AssetError(f"expected BODY HEAD LEFT RIGHT, or files called body, head, left, right; found {found}")
     for a, b in combinations(out.values(), 2):
@@ -78,11 +88,10 @@ def unfilmed_lines(videos: Mapping[str, Judged]) -> list[str]:
 
 
 def holds_videos(folder: Path) -> bool:
-    """Whether this is a video, or a folder that has one of any part in it and is no capture folder."""
+    """Whether this is a video, or a folder that has one in it and is no capture folder."""
     if folder.suffix.lower() in ENDINGS and folder.is_file():
         return True
-    names = [name + ending for part in PARTS for name in NAMES[part] for ending in ENDINGS]
-    return not (folder / "capture.json").exists() and any((folder / name).is_file() for name in names)
+    return folder.is_dir() and not (folder / "capture.json").exists() and bool(films_in(folder))
 
 
 def all_keypoints(folder: Path, videos: Mapping[str, VideoFile]) -> dict[str, Keypoints]:

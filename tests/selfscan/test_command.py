@@ -197,6 +197,8 @@ def test_a_first_avatar_stands_where_the_better_one_will(films, ran, tmp_path, c
 def test_films_that_are_not_there_are_refused_before_anything_is_made(tmp_path):
     with pytest.raises(AssetError, match=r"nowhere\.mp4: expected a film"):
         make.main([str(tmp_path / "nowhere.mp4"), "-o", str(tmp_path / "me.glb")])
+    with pytest.raises(AssetError, match=r"expected body\.mp4, .* found no film"):
+        make.main([str(tmp_path), "-o", str(tmp_path / "me.glb")])
     assert not list(tmp_path.iterdir())
 
 
