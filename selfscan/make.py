@@ -24,7 +24,7 @@ from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.progress import clock_time
 from command.stages import Stage, command, run_stages
-from files.input_file import read_json
+from files.input_file import read_json_object
 from files.whole import check_file, is_free, whole_file
 
 # steps a part of the short training; the long one has the preset's own
@@ -94,14 +94,18 @@ def claim(wanted: MakeCommand) -> None:
     """Make the folder of the work, or go on in it where it is of the same films, read the same way.
 
     Raises:
-        AssetError: it is of others.
+        AssetError: it is of others, or the films are not told apart.
     """
-    files = [find for film in wanted.films for find in (sorted(film.iterdir()) if film.is_dir() else [film])]
-    films = [[str(file.resolve()), file.stat().st_size] for file in files if file.is_file()]
+    from capture.raw.four_videos import find_videos
+
+    films = [[str(film.resolve()), film.stat().st_size] for film in find_videos(wanted.films).values()]
     asked = {"films": films, "reading": words_of(wanted.reading)}
     note = wanted.work / "make.json"
-    if not is_free(wanted.work) and read_json(note, "what `selfscan make` was asked for") != asked:
-        raise AssetError(f"{wanted.work}: holds the work on other films or options: remove it, or choose another -o")
+    if not is_free(wanted.work) and os.listdir(wanted.work) != [note.name]:
+        before = read_json_object(note, "what `selfscan make` was asked for")
+        if before != asked:
+            other = "films" if before.get("films") != films else f"options, {before.get('reading')}"
+            raise AssetError(f"{wanted.work}: holds the work on other {other}: remove it, or choose another -o")
     wanted.work.mkdir(exist_ok=True)
     with whole_file(note, "w") as file:
         json.dump(asked, file)
@@ -231,15 +235,12 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
 def main(argv: Sequence[str]) -> int:
     """Parse the command line and make the avatar."""
     wanted = parse(MakeCommand, argv, ABOUT)
-    from capture.raw.four_videos import find_videos
-
     for film in wanted.films:
         if not film.exists():
             raise AssetError(f"{film}: expected a film, or a folder of them, found nothing")
     check_file(wanted.out)
     if wanted.camera is not None:
         wanted = film_yourself(wanted)
-    find_videos(wanted.films)  # anything wrong is said before work begins
     claim(wanted)
     stages = make_stages(wanted)
     ran = run_stages(stages)

@@ -251,8 +251,19 @@ def test_an_avatar_that_was_moved_away_is_put_there_again_and_other_films_are_no
     assert out.read_text() == made and len(ran) == 4
     make.main([str(films), "-o", str(out), "--minutes", "4"])
     (films / "body.mp4").write_text("another film")
-    with pytest.raises(AssetError, match=r"me\.making: holds the work on other films or options"):
+    with pytest.raises(AssetError, match=r"me\.making: holds the work on other films: remove it"):
         make.main([str(films), "-o", str(out), "--minutes", "4"])
+    (films / "body.mp4").write_text("body.mp4")
+    (films / "notes.txt").write_text("nothing filmed")
+    with pytest.raises(AssetError, match=r"me\.making: holds the work on other options, \[\]: remove it"):
+        make.main([str(films), "-o", str(out), "--minutes", "4", "--stature", "1.8"])
+
+
+def test_options_may_change_until_something_was_made(films, monkeypatch, tmp_path):
+    monkeypatch.setattr(make, "command", lambda *words: lambda: 1)
+    for options in ([], ["--stature", "1.8"]):
+        with pytest.raises(AssetError, match="'read the films and fit the person' ended without writing it"):
+            make.main([str(films), "-o", str(tmp_path / "me.glb"), *options])
 
 
 def test_a_webcam_films_first_and_what_was_read_is_not_filmed_again(ran, tmp_path, monkeypatch, osmesa):
