@@ -66,8 +66,8 @@ def run_stages(todo: list[Stage], after: float = 0.0) -> dict[str, float]:
             raise Stopped(STOPPED[code])
         if code not in (None, 0) or not stage.product.exists():
             raise AssetError(
-                f"{stage.product}: {stage.name!r} ended without writing it, its own line says why; once that is mended, "
-                "the same command goes on from there"
+                f"{stage.product}: {stage.name!r} ended without writing it, its own line says why; once that is "
+                "mended, the same command goes on from there"
             )
         seconds[stage.name] = time.perf_counter() - start
         print(f"{label}: {seconds[stage.name]:.0f} s, {stage.product}", flush=True)
