@@ -5,20 +5,22 @@ const STEEPEST = 1.5;
 const limited = (value, low, high) => Math.min(Math.max(value, low), high);
 
 class Orbit {
-  // home: {target, distance, narrow, azimuth, elevation, fov}, `distance` fitted to a square picture, `narrow` to one twice
-  // as high as wide; changed: called after every move
-  constructor(canvas, home, changed) {
-    Object.assign(this, { canvas, home, changed, held: new Map() });
+  // home: {target, distance, person, azimuth, elevation, fov}, target and distance fitted to a square picture of all that
+  // is done; `person` has those of who stays in place, and `narrow`, the distance of a picture twice as high as wide.
+  // changed: called after every move; walked: how far the person is from where the motion begins
+  constructor(canvas, home, changed, walked = () => [0, 0, 0]) {
+    Object.assign(this, { canvas, home, changed, walked, held: new Map() });
     this.own = { ...home };
     this.fitted = true;
     this.listen();
   }
 
-  // As far away as the narrower side of the picture asks for, until the reader chooses.
+  // Until the reader chooses, a picture higher than wide follows the person: all of a walk is far away on a phone.
   get camera() {
-    const { own, canvas } = this;
-    const narrow = (own.narrow * canvas.height) / (2 * canvas.width);
-    return this.fitted ? { ...own, distance: Math.max(own.distance, narrow) } : own;
+    const { own, canvas, home: { person } } = this, ratio = canvas.height / canvas.width;
+    if (!this.fitted || ratio <= 1) return own;
+    const [x, , z] = this.walked(), [a, b, c] = person.target;
+    return { ...own, target: [a + x, b, c + z], distance: Math.max(person.distance, (person.narrow * ratio) / 2) };
   }
 
   reset() {

@@ -59,11 +59,14 @@ def page_of(package: str, scripts: Sequence[str], title: str, blobs: Mapping[str
 
 
 def first_camera(avatar: Avatar, clip: Clip) -> JsonObject:
-    """The camera of `selfscan render --camera front` on a square picture, and how far away one twice as high is."""
-    azimuth, points = facing(clip.axis_angle[0], avatar.joint_positions.astype(np.float64)), extent(avatar, clip)
-    view, narrow = fitted(points, azimuth, (640, 640)), fitted(points, azimuth, (320, 640))
+    """The camera of `selfscan render --camera front` on a square picture, and that of a person who stays in place."""
+    azimuth = facing(clip.axis_angle[0], avatar.joint_positions.astype(np.float64))
+    root = np.where([False, True, False], clip.root, clip.root[0])
+    view, points = fitted(extent(avatar, clip), azimuth, (640, 640)), extent(avatar, replace(clip, root=root))
+    alone, narrow = fitted(points, azimuth, (640, 640)), fitted(points, azimuth, (320, 640))
+    person = {"target": alone.target.tolist(), "distance": alone.distance, "narrow": narrow.distance}
     return {
-        "target": view.target.tolist(), "distance": view.distance, "narrow": narrow.distance, "azimuth": azimuth,
+        "target": view.target.tolist(), "distance": view.distance, "person": person, "azimuth": azimuth,
         "elevation": ELEVATION, "fov": float(FOV),
     }  # fmt: skip
 

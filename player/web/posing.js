@@ -30,14 +30,22 @@ function quaternion(m) {
   return q.map((value) => value / length);
 }
 
-// The pose at a moment of the motion, between two frames where it falls there.
-function poseAt(motion, frame) {
+// Values of a moment of the motion, so many a frame, between two frames where it falls there.
+function mixed(motion, values, size, frame) {
   const i = limited(Math.floor(frame + 1e-6), 0, motion.frames - 1);
   const t = i + 1 < motion.frames ? limited(frame - i, 0, 1) : 0, s = t < 1e-6 ? 0 : t;
-  const mixed = (values, size) => Float64Array.from({ length: size }, (_, k) =>
+  return Float64Array.from({ length: size }, (_, k) =>
     (1 - s) * values[size * i + k] + (s ? s * values[size * (i + 1) + k] : 0));
-  const face = motion.faces && mixed(motion.faces, 56);
-  return { q: mixed(motion.q, 208), place: mixed(motion.places, 3), face };
+}
+
+// Where the pelvis is, metres.
+function placeAt(motion, frame) {
+  return mixed(motion, motion.places, 3, frame);
+}
+
+function poseAt(motion, frame) {
+  const face = motion.faces && mixed(motion, motion.faces, 56, frame);
+  return { q: mixed(motion, motion.q, 208, frame), place: placeAt(motion, frame), face };
 }
 
 // Bones as the shaders take them: rows of view_from_canonical, its quaternions; joints in view space.

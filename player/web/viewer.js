@@ -36,7 +36,6 @@ function readSettings(home, avatar) {
       azimuth: number("azimuth", home.azimuth),
       elevation: limited(number("elevation", home.elevation), -STEEPEST, STEEPEST),
       fov: home.fov,
-      narrow: home.narrow,
     },
     fitted: !given.has("distance"),
   };
@@ -51,7 +50,7 @@ class Viewer {
     this.orbit = new Orbit(this.canvas, facts.camera, () => {
       this.dirty = true;
       this.remember();
-    });
+    }, () => placeAt(this.motion, this.settings.frame).map((value, k) => value - this.motion.places[k]));
     Object.assign(this.orbit, { own: this.settings.camera, fitted: this.settings.fitted });
     const { views } = this.drawing, settings = this.settings;
     if (!views.includes(settings.view)) settings.view = views.includes(facts.view) ? facts.view : "off";
