@@ -123,7 +123,8 @@ class NerfColor(nn.Module):
         super().__init__()
         self.feature, self.with_code = nn.Linear(feature, width), nn.Linear(width + code, width)
         self.seen, self.out = nn.Linear(width + 27 + beside, width // 2), nn.Linear(width // 2, 3)
-        begin_as_wide(self.feature, 1.0), begin_as_wide(self.with_code, 1.0), begin_as_wide(self.seen, 2.0)
+        for layer, gain in ((self.feature, 1.0), (self.with_code, 1.0), (self.seen, 2.0)):
+            begin_as_wide(layer, gain)
 
     def forward(
         self, feature: Float[Tensor, "n f"], code: Float[Tensor, "n l"], direction: Float[Tensor, "n 3"],
