@@ -18,8 +18,8 @@ from command.errors import AssetError
 from command.stages import Stage, command, run_stages
 from files.whole import write_text
 
-# strength of the shine that depends on the view
-SHEEN = 0.5
+# strength of the shine that depends on the view, and pixels of the videos' sides
+SHEEN, SIZE = 0.5, 512
 SCENE = """# The film of `make demo`. Change it and film again: selfscan render --scene {name} -o avatar.mp4
 size = [640, 640]
 
@@ -56,12 +56,13 @@ def stages(out: Path) -> list[Stage]:
     resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
     # without --run: volumes of the field take most of a minute a frame, and a true picture is at hand
     measured = ["--capture", capture, "--frames", "2", "--rounds", "20"]
+    filmed = ["--size", str(SIZE), "--sheen", str(SHEEN), "--truth-every", "3"]
     return [
         Stage(
             "synthesise four videos",
             capture / "capture.json",
-            command("selfscan", "synth", "builtin", capture, "--sheen", str(SHEEN), "--truth-every", "3"),
-            0.7,
+            command("selfscan", "synth", "builtin", capture, *filmed),
+            1.2,
         ),
         Stage(
             "train four part fields",
