@@ -159,7 +159,7 @@ def report(out: Path, options: Options, absent: list[str]) -> None:
     """rivals.json and the page, of what is there."""
     rows = collect(out)
     write_json(out / "rivals.json", {"options": asdict(options), "rows": rows, "absent": absent})
-    write_text(out / "README.md", page(rows, asdict(options), absent))
+    write_text(out / "README.md", page(rows, asdict(options), absent, (out / "sheet.png").exists()))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -188,6 +188,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if given.sheet:
         first = given.out / folder_of(given.people[0]) / given.inputs[0] / f"seed{given.seeds[0]}"
         write_sheet(first, given.out / "sheet.png")
+    report(given.out, options, absent)
     for line in absent:
         print(f"not made: {line}", file=sys.stderr)
     print(given.out / "README.md")

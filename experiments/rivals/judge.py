@@ -19,6 +19,7 @@ from PIL import Image
 from avatar.texture import bytes_of
 from bench.field.drawer import Drawer
 from bench.field.posed_field import PosableSurface
+from bench.ladder.machine import commit, cpu_name
 from bench.report.contact import spread_poses, square_about
 from bench.score.fitted_poses import fitted_views
 from bench.score.picture_scores import Draw, PictureJudge, is_t_pose, score_images
@@ -153,7 +154,8 @@ def main(argv: list[str] | None = None) -> int:
     what = judged(given.system, given.path)
     found = scores(what, given.truth, given.poses, fitted)
     write_pictures(what, given.truth, given.out, fitted, given.poses)
-    write_json(given.out, {**found, "poses": given.poses, "judging_seconds": round(time.process_time() - began, 1)})
+    facts = {"cpu": cpu_name(), "commit": commit(), "judging_seconds": round(time.process_time() - began, 1)}
+    write_json(given.out, {**found, "poses": given.poses, **facts})
     return 0
 
 

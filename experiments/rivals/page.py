@@ -145,10 +145,11 @@ def cost(rows: Rows) -> list[str]:
     return lines
 
 
-def page(rows: Rows, options: dict[str, Any], absent: Sequence[str]) -> str:
-    """README.md of a folder of results."""
+def page(rows: Rows, options: dict[str, Any], absent: Sequence[str], sheet: bool = False) -> str:
+    """README.md of a folder of results, with the sheet of pictures if it is there."""
     kinds = [kind for kind in ("given", "from pixels") if any(row["input"] == kind for row in rows)]
-    people = sorted({row["person"] for row in rows})
+    people, places = (sorted({row[name] for row in rows}) for name in ("person", "cpu"))
+    commits = sorted({str(row["commit"]) for row in rows})
     out = ["# The systems that the paper compares with, trained here", ""]
     for kind in kinds:
         out += [first_sentence(rows, kind), ""]
@@ -157,7 +158,8 @@ def page(rows: Rows, options: dict[str, Any], absent: Sequence[str]) -> str:
         f"{options['frames']} frames, {options['pixels']} px, {options['light']} light; networks of size "
         f"`{options['size']}`; {options['seconds']:g} processor seconds of learning asked for, one thread "
         "(what each took stands below); "
-        f"{plural(options['poses'], 'pose')} of each held-out set. That is a small part of a published "
+        f"{plural(options['poses'], 'pose')} of each held-out set; "
+        f"{', '.join(places)}, commit {', '.join(commits)}. That is a small part of a published "
         "training: the table says "
         "what the systems learn in so little time, not where they end. Rivals get our template with its hair, our "
         "poses and the head's place of our finished run; their preparation is not counted, nor is ours. The rays of "
@@ -165,6 +167,7 @@ def page(rows: Rows, options: dict[str, Any], absent: Sequence[str]) -> str:
         "publication stands at the top of its file (`experiments/rivals/`).",
         "",
     ]
+    out += ["![truth, ours, the rivals: face, left hand, whole person in a new pose](sheet.png)", ""] if sheet else []
     for kind in kinds:
         for name, title in SETS.items():
             out += [f"## {title}, {kind}", "", *table(rows, kind, name), ""]
