@@ -104,7 +104,8 @@ def claim(wanted: MakeCommand) -> None:
     if not is_free(wanted.work) and os.listdir(wanted.work) != [note.name]:
         before = read_json_object(note, "what `selfscan make` was asked for")
         if before != asked:
-            other = "films" if before.get("films") != films else f"options, {before.get('reading')}"
+            words = " ".join(map(str, before.get("reading") or ["none"]))
+            other = "films" if before.get("films") != films else f"options ({words})"
             raise AssetError(f"{wanted.work}: holds the work on other {other}: remove it, or choose another -o")
     wanted.work.mkdir(exist_ok=True)
     with whole_file(note, "w") as file:

@@ -43,6 +43,7 @@ function placeAt(motion, frame) {
   return mixed(motion, motion.places, 3, frame);
 }
 
+// The pose of a moment of the motion.
 function poseAt(motion, frame) {
   const face = motion.faces && mixed(motion, motion.faces, 56, frame);
   return { q: mixed(motion, motion.q, 208, frame), place: placeAt(motion, frame), face };

@@ -255,7 +255,7 @@ def test_an_avatar_that_was_moved_away_is_put_there_again_and_other_films_are_no
         make.main([str(films), "-o", str(out), "--minutes", "4"])
     (films / "body.mp4").write_text("body.mp4")
     (films / "notes.txt").write_text("nothing filmed")
-    with pytest.raises(AssetError, match=r"me\.making: holds the work on other options, \[\]: remove it"):
+    with pytest.raises(AssetError, match=r"me\.making: holds the work on other options \(none\): remove it"):
         make.main([str(films), "-o", str(out), "--minutes", "4", "--stature", "1.8"])
 
 

@@ -3,6 +3,7 @@
 import json
 import os
 import threading
+import time
 from queue import Queue
 from urllib.error import HTTPError
 from urllib.request import ProxyHandler, build_opener
@@ -96,6 +97,11 @@ def test_clicks_keys_and_undo_in_a_browser_give_the_places_that_were_clicked(pag
                 if n == 5:
                     tab.ask(press.format("Backspace"))
                     tab.ask(click_at.format(90))
+        # what was done is kept, whatever becomes of the page
+        draft, end = tmp_path / "body.clicks", time.monotonic() + 600
+        while len(json.loads(draft.read_text())) < 1 + 6 * 13 and time.monotonic() < end:
+            time.sleep(0.05)
+        assert json.loads(draft.read_text())[:1] == ["pass"] and json.loads(draft.read_text())[3] == "hidden"
         tab.screenshot(tmp_path / "page.png")
         tab.ask(press.format("Enter"))
         clicked = found.get(timeout=600)
@@ -127,7 +133,9 @@ def test_the_clicked_frames_are_fitted_and_the_empty_room_is_known(tmp_path, mon
     video, out = open_video(tmp_path / "body.mp4"), tmp_path / "clicked.json"
     truth = read_keypoints(tmp_path / "keypoints" / "body.json")
     monkeypatch.setattr(click, "answered", clicks(truth, 0.5))
+    out.with_suffix(".clicks").write_text("[]")
     click_joints(video, out)
+    assert not out.with_suffix(".clicks").exists()
     points = read_keypoints(out)
     seen = judge(glance(video, "body", points, Progress("looking", 9)))
     kept = select(seen, 60).frames

@@ -182,15 +182,29 @@ def test_keys_and_fingers_move_it(page):
     assert tab.ask("selfscan.camera.azimuth") == pytest.approx(before["azimuth"])
 
 
-@pytest.mark.parametrize("size", [(390, 844), (320, 568), (844, 390)])
-def test_on_a_phone_the_whole_person_is_in_sight_in_most_of_the_screen(page, size):
-    tab, path, avatar, poses = page
+def on_a_phone(tab, path, size):
+    """The canvas's size, and the camera of each of two frames."""
     tab.call("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=2, mobile=True)
     tab.open(path, "play=0")
     shown = tab.ask("[selfscan.canvas.clientWidth, selfscan.canvas.clientHeight]")
-    # an upright one follows the person
-    cameras = [tab.ask(f"selfscan.set({{ frame: {k} }}), selfscan.camera") for k in range(len(poses))]
+    cameras = [tab.ask(f"selfscan.set({{ frame: {k} }}), selfscan.camera") for k in range(2)]
     tab.call("Emulation.clearDeviceMetricsOverride")
+    return shown, cameras
+
+
+def test_a_phone_held_upright_follows_who_walks(page, pose, tmp_path):
+    tab, _, avatar, _ = page
+    (_, (_, last)), motion = two_poses((pose[0], pose[1] + [2.0, 0.0, 1.0]))
+    write_page(tmp_path / "walk.html", avatar, motion, 0, 2, "walk")
+    for size, moved in (((390, 844), [last[0], 0, last[2]]), ((844, 390), [0, 0, 0])):
+        first, second = (camera["target"] for camera in on_a_phone(tab, tmp_path / "walk.html", size)[1])
+        np.testing.assert_allclose(np.subtract(second, first), moved, atol=1e-3)
+
+
+@pytest.mark.parametrize("size", [(390, 844), (320, 568), (844, 390)])
+def test_on_a_phone_the_whole_person_is_in_sight_in_most_of_the_screen(page, size):
+    tab, path, avatar, poses = page
+    shown, cameras = on_a_phone(tab, path, size)
     assert shown[0] == size[0] and shown[1] > 0.7 * size[1]
     seen = []
     for camera, pose in zip(cameras, poses, strict=True):
