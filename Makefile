@@ -32,7 +32,7 @@ test-all: test lint
 
 # Runs the hard cases and writes docs/hard-cases.md: case, bound, measured worst error, rasteriser.
 hard-cases: setup
-	$(RUN) -m pytest -q tests/hard_cases --hard-cases-report docs/hard-cases.md
+	$(RUN) -m pytest -q $(UNHOOKED) tests/hard_cases --hard-cases-report docs/hard-cases.md
 
 # Writes docs/limits.md: the largest and smallest values for which what is promised holds, and what is said beyond.
 limits: setup

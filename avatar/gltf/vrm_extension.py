@@ -3,7 +3,7 @@
 Bones, 18 preset expressions (avatar/face_names.py) and ARKit's 52 shapes by their own names, and a gaze that turns the
 joints of the eyes. VRM 0.x has no preset of surprise and calls the other presets otherwise; programs that read it look
 for ARKit's names with a capital. Lids follow a gaze by the expressions lookUp and lookDown only: the gaze of bones has
-none. An avatar marks loose parts vertex by vertex and has no joints for them: there are no spring bones.
+none.
 
 It is someone's likeness: the metadata say who may use it, and answer what else VRM asks in the narrowest way.
 github.com/vrm-c/vrm-specification, specification/VRMC_vrm-1.0 and specification/0.0.

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from chromium import chromium, three_frames
 from faced_avatar import faced
+from loose_avatar import dressed
 from node_packages import package_folder, run_node
 from tiny_avatar import split_glb, tiny_avatar
 
@@ -36,8 +37,9 @@ def earlier(exported):
     return out
 
 
-def test_the_khronos_validator_finds_no_error_in_a_vrm(exported, earlier):
-    for path, warnings in ((exported, []), (earlier, ["INVALID_EXTENSION_NAME_FORMAT"])):  # VRM has no vendor's prefix
+def test_the_khronos_validator_finds_no_error_in_a_vrm(exported, earlier, hanging):
+    prefix = ["INVALID_EXTENSION_NAME_FORMAT"]  # VRM has none of a vendor
+    for path, warnings in ((exported, []), (earlier, prefix), (hanging / "a.vrm", []), (hanging / "a0.vrm", prefix)):
         issues = run_node("validate_gltf.mjs", path, package_folder("gltf-validator"))["issues"]
         assert issues["numErrors"] == 0, issues["messages"]
         assert [issue["code"] for issue in issues["messages"] if issue["severity"] == 1] == warnings
@@ -104,6 +106,51 @@ def test_both_versions_have_the_same_expressions_in_their_own_words(exported, ea
     words = "joy angry sorrow fun a i u e o blink blink_l blink_r lookup lookdown lookleft lookright neutral unknown"
     assert {group["presetName"] for group in groups} == set(words.split())
     assert {"Joy", "Blink_L", "LookUp", "Surprised", "EyeBlinkLeft"} < {group["name"] for group in groups}
+
+
+@pytest.fixture(scope="module")
+def hanging(tmp_path_factory):
+    """A woman in a skirt with long hair, her avatar file and both versions of VRM."""
+    folder = tmp_path_factory.mktemp("hanging")
+    write_avatar(folder / "a.glb", dressed())
+    for name, more in (("a.vrm", []), ("a0.vrm", ["--vrm0"])):
+        assert export_main([str(folder / "a.glb"), "-o", str(folder / name), *more]) == 0
+    return folder
+
+
+def test_hair_and_skirt_hang_on_chains_and_lie_at_rest_as_they_did(hanging):
+    ours, vrm = read_gltf(hanging / "a.glb"), read_gltf(hanging / "a.vrm")
+    springs = vrm.json["extensions"]["VRMC_springBone"]
+    nodes = vrm.items("nodes")
+    for spring in springs["springs"]:
+        chain = [joint["node"] for joint in spring["joints"]]
+        assert [nodes[a]["children"] for a in chain[:-1]] == [[b] for b in chain[1:]]
+    roots = [spring["joints"][0]["node"] for spring in springs["springs"]]
+    held_by = {node["name"] for node in nodes if set(roots) & set(node.get("children", []))}
+    assert held_by == {"pelvis", "head"}
+    lift = [0, vrm.items("nodes")[0]["translation"][1] - ours.items("nodes")[0]["translation"][1], 0]
+    off = np.linalg.norm(resting(vrm) - lift - resting(ours), axis=1)
+    # between the thighs a skirt's own skin shears, its chains do not
+    assert np.percentile(off, 99) < 0.01 and off.max() < 0.04
+    assert off[dressed().levels[0].loose == 0].max() < 1e-6
+    np.testing.assert_allclose(resting(read_gltf(hanging / "a0.vrm")), resting(vrm) * [-1, 1, -1], atol=1e-6)
+
+
+@pytest.mark.parametrize("version", ["a.vrm", "a0.vrm"])
+def test_three_vrm_swings_hair_after_a_turn_of_the_head_and_lets_the_skirt_hang(hanging, version):
+    found = run_node("interchange/three_springs.mjs", hanging / version, package_folder("@pixiv/three-vrm"))
+    rest, still, turned, after = (np.array(found[key]) for key in ("rest", "still", "turned", "after"))
+    assert np.linalg.norm(still - rest, axis=1).max() < 0.02
+    hair = rest[:, 1] > 1
+    assert 0 < hair.sum() < len(hair) and found["colliders"] > 0
+    first, whole = (np.linalg.norm(moved - still, axis=1) for moved in (turned, after))
+    assert (whole[hair] > 0.1).all() and (first[hair] < 0.5 * whole[hair]).all()
+    assert whole[~hair].max() < 1e-3
+
+
+def test_an_avatar_that_wears_nothing_loose_has_no_springs(exported):
+    gltf = read_gltf(exported)
+    assert "VRMC_springBone" not in gltf.json["extensions"] and len(gltf.items("skins")[0]["joints"]) == 54
 
 
 @pytest.mark.slow
