@@ -19,8 +19,9 @@ from geometry.least_squares import robust_cost, robust_weight
 SLACK = 0.05
 # degrees from frame to frame
 TURN = 25.0
-# what exchanged sides cost: less than half a turn there and back
-EXCHANGE = 8.0
+# what it costs that a detector begins or ends to exchange sides, and each frame of it: at first as much as a turn that
+# no person makes between frames, for long less than half a turn there and back
+SWITCH, EXCHANGED = 5.0, 0.2
 ROUNDS = 4
 
 
@@ -59,17 +60,17 @@ def find_directions(
     """
     flat = np.einsum("nij,pj->npi", candidates[:, :2], points) * [1.0, -1.0]
     cost, scale, origin = _fits(flat, pixels, seen, slack)
-    total = cost * seen.sum(1)[:, None] / slack**2
-    exchanged = np.zeros(total.shape, bool)
+    fits = [_fits(flat, pixels, seen, slack)]
     if mirrored is not None:
-        other_cost, other_scale, other_origin = _fits(flat, pixels[:, mirrored], seen[:, mirrored], slack)
-        other_total = other_cost * seen.sum(1)[:, None] / slack**2 + EXCHANGE
-        exchanged = other_total < total
-        total, scale = np.minimum(total, other_total), np.where(exchanged, other_scale, scale)
-        origin = np.where(exchanged[:, :, None], other_origin, origin)
-    path = _smooth_path(total, candidates)
+        fits.append(_fits(flat, pixels[:, mirrored], seen[:, mirrored], slack))
+    # frames, as named or exchanged, candidates
+    cost, scale, origin = (np.stack(values, 1) for values in zip(*fits))
+    cost *= seen.sum(1)[:, None, None] / slack**2
+    cost[:, 1:] += EXCHANGED
+    exchanged, path = _smooth_path(cost, candidates)
     frame = np.arange(len(path))
-    return Directions(candidates[path], scale[frame, path], origin[frame, path], exchanged[frame, path])
+    found = frame, exchanged, path
+    return Directions(candidates[path], scale[found], origin[found], exchanged == 1)
 
 
 def _fits(
@@ -101,22 +102,29 @@ def _fits(
     return cost, scale, origin
 
 
-def _smooth_path(cost: Float[Array, "frames n"], candidates: Float[Array, "n 3 3"]) -> Int[Array, "frames"]:
-    """The cheapest path through the candidates, turns between neighbouring frames included."""
+def _smooth_path(
+    cost: Float[Array, "frames sides n"], candidates: Float[Array, "n 3 3"]
+) -> tuple[Int[Array, "frames"], Int[Array, "frames"]]:
+    """The cheapest path through sides and candidates, with turns and exchanges between neighbouring frames."""
     flat = candidates.reshape(len(candidates), 9)
     angle = np.arccos(np.clip((flat @ flat.T - 1) / 2, -1, 1))
     turn = (angle / np.radians(TURN)) ** 2
     # a jump costs no more than that: the person may have turned quickly
     turn = 16 * turn / (16 + turn)
+    sides, count = cost.shape[1:]
     total, back = cost[0].copy(), []
     for row in cost[1:]:
-        through = total[:, None] + turn
-        back.append(through.argmin(0))
-        total = through.min(0) + row
+        before = (total[:, :, None] + turn).argmin(1)
+        through = np.take_along_axis(total, before, 1) + turn[before, np.arange(count)]
+        from_side = (through[:, None] + SWITCH * (1 - np.eye(sides))[:, :, None]).argmin(0)
+        came = np.take_along_axis(through, from_side, 0) + SWITCH * (from_side != np.arange(sides)[:, None])
+        back.append(np.ravel_multi_index((from_side, np.take_along_axis(before, from_side, 0)), (sides, count)))
+        total = came + row
     path = [int(total.argmin())]
     for previous in reversed(back):
-        path.append(int(previous[path[-1]]))
-    return np.array(path[::-1])
+        path.append(int(previous.reshape(-1)[path[-1]]))
+    side, chosen = np.unravel_index(path[::-1], (sides, count))
+    return side, chosen
 
 
 def place_of(found: Directions, focal: float, centre: Float[Array, "2"]) -> Float[Array, "frames 3"]:
