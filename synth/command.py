@@ -1,7 +1,5 @@
 """`selfscan synth`: the four self-scan videos of a person whose mesh is known, and the truth to measure against."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,7 +44,8 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
     assert config.size is not None and config.light is not None
     check_folder(out)
     person = _person(subject)
-    with _rasteriser() as rasteriser:
+    with open_context() as context:
+        rasteriser = Rasteriser(context)
         studio = Studio(rasteriser, person)
         videos = plan_videos(studio, config.frames, config.size)
         visible = visible_faces(rasteriser, person.vertices, person.faces)
@@ -87,7 +86,8 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
     person = _person(subject)
     facts = {"subject": person.name, "subject_licence": person.licence, **settings_json(config), **settings_json(raw)}
     lights = {part: light_of(config.light, part, config.seed) for part in PARTS}
-    with _rasteriser() as rasteriser, whole_folder(out) as folder:
+    with open_context() as context, whole_folder(out) as folder:
+        rasteriser = Rasteriser(context)
         plan = film_raw(folder, Studio(rasteriser, person, 2), lights, config.size, raw, config.seed)
         if config.truth:
             write_rest(folder / "truth", person, visible_faces(rasteriser, person.vertices, person.faces))
@@ -105,17 +105,6 @@ def _person(name: str) -> SynthSubject:
     person = cut_out(load_subject(name))
     print(f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}")
     return person
-
-
-@contextmanager
-def _rasteriser() -> Iterator[Rasteriser]:
-    context = open_context()
-    rasteriser = Rasteriser(context)
-    try:
-        yield rasteriser
-    finally:
-        rasteriser.release()
-        context.release()
 
 
 def load_subject(name: str) -> SynthSubject:
@@ -138,12 +127,8 @@ def _facts(person: SynthSubject, template: RegisteredTemplate, config: SynthConf
         "subject": person.name,
         "units": "metres",
         "parts": list(PARTS),
-        "light": config.light,
-        "sheen": config.sheen,
+        **{name: vars(config)[name] for name in ("light", "sheen", "seed", "size", "frames")},
         "pose_noise_deg": config.pose_noise,
-        "seed": config.seed,
-        "size": config.size,
-        "frames": config.frames,
         "input": "given" if config.template == "registered" else "shape_only",
         "body": template.body,
         "body_licence": template.mesh.licence,

@@ -99,10 +99,10 @@ def taken(
     high = np.clip(np.ceil(pixels.max(0, initial=-np.inf)) + 1, 0, size).astype(int)
     (left, top), (width, height) = low.tolist(), (high - low).tolist()
     if min(width, height) > 0:
-        exposed = studio.expose(vertices, shots.camera.cropped(left, top, (width, height)), light, lit)
+        color, share = studio.expose(vertices, shots.camera.cropped(left, top, (width, height)), light, lit)
         window = np.s_[top : top + height, left : left + width]
-        picture[window] = exposed.color + (1 - exposed.coverage[..., None]) * picture[window]
-        coverage[window] = np.round(255 * exposed.coverage)
+        picture[window] = color + (1 - share[..., None]) * picture[window]
+        coverage[window] = np.round(255 * share)
     return picture, coverage
 
 
