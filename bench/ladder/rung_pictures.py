@@ -10,7 +10,6 @@ from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
-from bench.report.contact import spread_poses
 from capture.held_out import HeldOutView, read_held_out
 from command.errors import AssetError
 from player.budget.rung import Rung, shown
@@ -32,6 +31,13 @@ class ComparedFrame:
     pose: BarePose
     camera: Camera
     truth: HeldOutView | None
+
+
+def spread_poses(views: Sequence[HeldOutView], view: str, count: int) -> list[HeldOutView]:
+    """`count` pictures of one kind, evenly spread over the set."""
+    those = [v for v in views if v.view == view]
+    chosen = np.unique(np.linspace(0, len(those) - 1, count).round().astype(int)) if those else []
+    return [those[i] for i in chosen]
 
 
 def held_out_frames(capture: Path, count: int = FRAMES) -> list[ComparedFrame]:

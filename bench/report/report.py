@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.gltf.avatar_file import read_avatar
@@ -38,8 +38,7 @@ def bench(command: BenchCommand) -> Json:
     avatar, capture, run, rounds = read_avatar(command.avatar), command.capture, command.run, command.rounds
     count, size = command.frames, command.size or SIZE
     frames = held_out_frames(capture, count) if capture is not None else motion_frames(avatar, count, size)
-    context = open_context()
-    try:
+    with open_context() as context:
         rungs = rungs_of(avatar)
         seen, full = [(frame.pose, frame.camera) for frame in frames], frames[0].camera.size
         with Quiet() as quiet:
@@ -51,12 +50,12 @@ def bench(command: BenchCommand) -> Json:
         if run is not None:
             measured = with_field(context, run, frames, measured)
         truths = [f.truth.image() for f in frames if f.truth is not None]
-    finally:
-        context.release()
 
     rows, pictures = [one.row for one in measured], {one.row["name"]: one.pictures for one in measured}
     best, baked = rows[0]["name"], rungs[0].name
-    masks = [person_mask(*pair) for pair in zip(frames, pictures[best], strict=True)]
+    # where the person is: as the truth says, else where anything was drawn
+    masks = [shown.max(-1) > 0 if frame.truth is None else frame.truth.mask()
+             for frame, shown in zip(frames, pictures[best], strict=True)]  # fmt: skip
     crops = [crop_of(mask) for mask in masks]
     parts = [part_boxes(avatar, *frame.pose, frame.camera) for frame in frames]
     references: dict[str | None, Pictures] = {None: pictures[best]}
@@ -90,11 +89,6 @@ def bench(command: BenchCommand) -> Json:
         write_text(folder / "bench.html", frontier_page(result, first, avatar, rungs))
         plot(result, folder / "pareto.png")
     return result
-
-
-def person_mask(frame: ComparedFrame, picture: Float[Array, "height width 3"]) -> Bool[Array, "height width"]:
-    """Where the person is: as the truth says, else where anything was drawn."""
-    return frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
 
 
 class MeasuredRung(NamedTuple):
