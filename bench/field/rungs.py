@@ -83,8 +83,7 @@ def draw_volume(
     field: PosedField, raster: Rasteriser, pose: BarePose, camera: Camera, *, beta: float, sections: int
 ) -> MaskedPicture:
     """One picture on black, colors inside the cone that training saw. `beta` is the surface's width, metres."""
-    surface = field.surface
-    posed = field.posed(*pose)
+    surface, posed = field.surface, field.surface.posed(*pose)
     faces = faces_in_picture(posed, surface.faces, camera)
     fragments = raster.draw(posed, faces, camera)
     rows, columns = np.nonzero(fragments.face >= 0)

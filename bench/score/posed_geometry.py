@@ -69,18 +69,14 @@ def skin_beside_hair(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
     """True visible faces of head and neck within BESIDE of visible hair, hair apart; canonical pose."""
     middle = truth.canonical()[truth.faces].mean(1)
     hair = hair_faces(truth)
-    chosen = truth.visible & ~hair & _head_or_neck(truth)
+    head_and_neck = np.isin(truth.skin.heaviest, [JOINTS.index("neck"), JOINTS.index("head")])
+    head_and_neck |= truth.part == PARTS.index("head")
+    chosen = truth.visible & ~hair & head_and_neck[truth.faces].any(1)
     if not (hair & truth.visible).any() or not chosen.any():
         return np.zeros(len(truth.faces), bool)
     away = KDTree(middle[hair & truth.visible]).query(middle[chosen])[0]
     chosen[chosen] = away < BESIDE
     return chosen
-
-
-def _head_or_neck(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
-    bones = [JOINTS.index("neck"), JOINTS.index("head")]
-    own = (truth.part == PARTS.index("head")) | np.isin(truth.skin.heaviest, bones)
-    return own[truth.faces].any(1)
 
 
 class PoseDistances(NamedTuple):
@@ -167,8 +163,7 @@ def thinned(samples: SurfaceSamples, every: int) -> SurfaceSamples:
 
 
 def alignment(case: GeometryCase, pair: PosedPair, region: str = "total") -> Float[np.ndarray, "4 4"]:
-    """truth_from_surface by rigid ICP onto the truth: of the whole reconstruction (what the paper's code does), or of a
-    region."""
+    """truth_from_surface by rigid ICP onto the truth, of the whole reconstruction as the paper's code, or a region."""
     few = thinned(case.on_surface[region], 16 if region == "total" else 4)
     return rigid_icp(few.on(pair.surface, case.faces), pair.truth_index, rounds=15)
 

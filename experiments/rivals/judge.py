@@ -116,9 +116,9 @@ def scores(what: Judged, folder: Path, poses: int, fitted: tuple[Path, Path] | N
     out: dict[str, Any] = {}
     for name, true in views.items():
         judge = PictureJudge(truth, what.draw)
-        images = score_images(judge, true, f"{name} pictures", t_pose_apart=False, ours=ours[name])
+        images = score_images(judge, true, f"{name} pictures", ours[name])
         placements = same_poses(true) if fitted is None else fitted_poses(true, ours[name])
-        found = regions_of(distances(what, truth, placements), images.scored)
+        found = regions_of(distances(what, truth, placements), images)
         out[name] = {region: {key: found[region].get(key) for key in SCORES} for region in REGIONS}
     return out
 
