@@ -24,7 +24,8 @@ from synth.options import RawConfig, SynthConfig
 from synth.people.body import built_in
 from synth.people.person import person
 from synth.photo import Studio
-from synth.raw.film import FILES, film_raw, mistakes_of, write_truth
+from synth.raw.film import FILES, MASK_STEP, film_raw, mistakes_of
+from synth.raw.film import RATE as RAW_RATE
 from synth.subject import SynthSubject, read_subject
 from synth.template import RegisteredTemplate, register, shape_only
 from synth.truth import DetectorOf, novel_poses, novel_views, take_set, write_photo, write_rest
@@ -94,7 +95,9 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
             if raw.held_out:
                 looks = DetectorOf(mistakes_of(raw), config.seed) if raw.keypoints else None
                 _take_held_out(folder / "truth", Studio(rasteriser, person), config, looks)
-        write_truth(folder, plan, facts)
+        frames = {part: len(shots.root) for part, shots in plan.items()}
+        said = {"format": "selfscan-raw-truth", "rate": RAW_RATE, "mask_step": MASK_STEP, **facts, "frames": frames}
+        write_json(folder / "truth" / "raw.json", said)
     for part, shots in plan.items():
         width, height = shots.camera.size
         print(f"{FILES[part]}: {plural(len(shots.root), 'frame')} of {width} x {height} px")

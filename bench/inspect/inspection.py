@@ -100,6 +100,7 @@ class Inspector:
     ):
         self.avatar, self.path, self.context, self.from_field = avatar, path, context, from_field
         self.level, self.size = avatar.levels[0], size
+        self.grey = np.tile(np.array(GREY, np.float64), (len(self.level.positions), 1))
         self.views = standard_views(avatar, size)
         self.studio: MeshPlotter | None = None
         self.checks, self.sections = list[Check](), list[PageSection]()

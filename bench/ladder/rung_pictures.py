@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +11,7 @@ from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
+from bench.report.writer import Json
 from capture.held_out import HeldOutView, read_held_out
 from command.errors import AssetError
 from player.budget.rung import Rung, shown
@@ -54,6 +56,14 @@ def motion_frames(avatar: Avatar, count: int = FRAMES, size: tuple[int, int] = S
     chosen = (np.linspace(0.15, 0.85, count) * (len(clip.root) - 1)).round().astype(int)
     camera = fitted_camera(extent(avatar, clip), SIDE, size)
     return [ComparedFrame((clip.axis_angle[i], clip.root[i]), camera, None) for i in chosen.tolist()]
+
+
+class MeasuredRung(NamedTuple):
+    """A row of the result, milliseconds of each round where the rung took turns with the others, and its pictures."""
+
+    row: Json
+    ms: Float[Array, "rounds"] | None
+    pictures: list[Float[Array, "height width 3"]]
 
 
 def rung_pictures(

@@ -22,10 +22,8 @@ SMALLEST = 7
 
 def crop_of(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice]:
     """Where pictures are compared: the rectangle of the person, a little wider."""
-    where = rectangle(mask)
-    if where is None:
-        return slice(0, mask.shape[0]), slice(0, mask.shape[1])
-    return grown(where, 4, mask.shape)
+    height, width = mask.shape
+    return grown(rectangle(mask) or (slice(0, height), slice(0, width)), 4, mask.shape)
 
 
 def part_boxes(

@@ -5,12 +5,9 @@ frames by alternating rounds and compared with the best rung, and with the truth
 """
 
 import os
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +16,7 @@ from numpy import ndarray as Array
 from avatar.gltf.avatar_file import read_avatar
 from bench.bench_command import BenchCommand
 from bench.ladder.machine import Quiet
-from bench.ladder.rung_pictures import SIZE, ComparedFrame, held_out_frames, motion_frames, rung_pictures
+from bench.ladder.rung_pictures import SIZE, MeasuredRung, held_out_frames, motion_frames, rung_pictures
 from bench.ladder.rung_scores import crop_of, mark_dominated, part_boxes, person_scores, row_of
 from bench.report.frontier.page import PagePictures, frontier_page
 from bench.report.rung_page import markdown, plot
@@ -27,7 +24,7 @@ from bench.report.writer import Json
 from files.whole import whole_folder, write_json, write_text
 from player.budget.ladder import Timing, rungs_of, time_rungs
 from player.budget.rung import Rung
-from player.gl.context import Context, open_context
+from player.gl.context import open_context
 
 Pictures = list[Float[Array, "height width 3"]]
 
@@ -48,7 +45,9 @@ def bench(command: BenchCommand) -> Json:
             for rung, timing in zip(rungs, timings, strict=True)
         ]
         if run is not None:
-            measured = with_field(context, run, frames, measured)
+            from bench.field.rungs import field_rungs  # it brings torch
+
+            measured = [*field_rungs(context, run, frames, measured[0].row["ms_median"]), *measured]
         truths = [f.truth.image() for f in frames if f.truth is not None]
 
     rows, pictures = [one.row for one in measured], {one.row["name"]: one.pictures for one in measured}
@@ -89,27 +88,6 @@ def bench(command: BenchCommand) -> Json:
         write_text(folder / "bench.html", frontier_page(result, first, avatar, rungs))
         plot(result, folder / "pareto.png")
     return result
-
-
-class MeasuredRung(NamedTuple):
-    """A row of the result, milliseconds of each round where the rung took turns with the others, and its pictures."""
-
-    row: Json
-    ms: Float[Array, "rounds"] | None
-    pictures: Pictures
-
-
-def with_field(
-    context: Context, run: Path, frames: Sequence[ComparedFrame], measured: list[MeasuredRung]
-) -> list[MeasuredRung]:
-    """The rungs of the run's field before the player's; they took no turns with those."""
-    from bench.field.rungs import field_rungs  # it brings torch
-
-    baked_ms = measured[0].row["ms_median"]
-    for name, ms, size, pictures in field_rungs(context, run, frames):
-        row = row_of(name, ms, size) | {"times_faster": round(float(baked_ms / np.median(ms)), 5)}
-        measured = [MeasuredRung(row, None, pictures), *measured]
-    return measured
 
 
 def timed_row(rung: Rung, timing: Timing, best: Timing) -> Json:

@@ -27,18 +27,8 @@ from bench.score.fitted_poses import fitted_views
 from bench.score.lpips import read_perceptual
 from bench.score.metrics import Perceive
 from bench.score.picture_scores import NO_EYES, PictureJudge, is_t_pose, score_images
-from bench.score.pose_distances import BESIDE, JudgedSurfaces, Placement, Rows, fitted_poses, measure_poses, same_poses
-from bench.score.posed_geometry import (
-    Distances,
-    GeometryCase,
-    PosedPair,
-    alignment,
-    geometry_case,
-    measure_pose,
-    nothing,
-    own_weights_surface,
-    posed_pair,
-)
+from bench.score.pose_distances import JudgedSurfaces, Placement, fitted_poses, measure_once, measure_poses, same_poses
+from bench.score.posed_geometry import GeometryCase, geometry_case, own_weights_surface
 from bench.score.quality_table import PAPER
 from bench.score.region_scores import regions_of, rounded, without_eyes
 from bench.score.skeleton_distance import BODY, HANDS, LIMBS, joints_off, posed_skeletons, turned_off
@@ -196,24 +186,25 @@ def held_out_rows(what: Evaluated, surfaces: JudgedSurfaces, name: str) -> tuple
     rows: Json = {name: {"eyes": without_eyes(NO_EYES)} | regions_of(distances["ours"], images)}
     if not novel:
         return rows, {}
-    beside = beside_novel_poses(what, surfaces, distances, placements)
+    beside = {name: regions_of(found) for name, found in distances.items() if name != "ours"}
+    beside = beside_novel_poses(what, placements, beside)
     if any(still):
         t_pose, own_t_pose = (list(compress(one, still)) for one in (views, own_views))
         beside["t_pose_frames"] = regions_of({}, score_images(what.judge, t_pose, f"{name} T-poses", own_t_pose))
     return rows, beside
 
 
-def beside_novel_poses(what: Evaluated, surfaces: JudgedSurfaces, distances: Rows, placements: list[Placement]) -> Json:
+def beside_novel_poses(what: Evaluated, placements: list[Placement], rows: Json) -> Json:
     """Novel poses after alignment, of the template before training and under the rig's weights; joints of fitted
     poses."""
     out: Json = {
         "zero_steps": None,
         "own_weights": None,
-        **{name: regions_of(found) for name, found in distances.items() if name != "ours"},
+        **rows,
         "zero_steps_reason": "a template has no colors before training: no pictures",
         "poses": len(placements),
     }
-    if surfaces.template is None:
+    if what.template is None:
         out["zero_steps_reason"] = "the avatar file holds no template; give --run"
     if what.ours is not None and what.template is not None:
         seen = [(p.truth, own) for p in placements for part, own in p.ours.items() if "total" in part]
@@ -271,18 +262,6 @@ def standing_rows(what: JudgedSurfaces, raster: Rasteriser, template: CaptureSub
         for region, scores in standing.items():
             rows[name][region] |= {key: rounded(score) for key, score in scores.items()}
     return rows
-
-
-def measure_once(
-    case: GeometryCase, axis_angle: np.ndarray, apart: bool
-) -> tuple[Distances, PosedPair, np.ndarray | None]:
-    """One pose of both: distances, the two posed, and truth_from_surface by rigid ICP where the skeleton was estimated:
-    its pelvis is elsewhere."""
-    into, root = nothing(), case.truth.joints[0]
-    pair = posed_pair(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root))
-    T = alignment(case, pair) if apart else None
-    measure_pose(case, pair, into, every=BESIDE, truth_from_surface=T)
-    return into, pair, T
 
 
 def baked_vs_field_of(drawer: Drawer) -> Json:

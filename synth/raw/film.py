@@ -1,6 +1,5 @@
 """Filming the four raw videos, frame after frame, in constant memory."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -135,9 +134,3 @@ class _Lighting:
                 self.studio.posed(self.shots.steady[i], np.zeros(3)), self.light
             )
         return self.known[number]
-
-
-def write_truth(folder: Path, plan: dict[str, RawShots], facts: dict) -> None:
-    content = {"format": "selfscan-raw-truth", "rate": RATE, "mask_step": MASK_STEP, **facts}
-    content["frames"] = {part: len(shots.root) for part, shots in plan.items()}
-    (folder / "truth" / "raw.json").write_text(json.dumps(content, indent=1))
