@@ -11,7 +11,7 @@ JOBS ?= 2  # test processes side by side
 .PHONY: demo test test-all hard-cases hard-cases-night limits mutants setup system lint clean
 
 demo: setup
-	$(RUN) -m bench.demo out/demo
+	$(RUN) -m experiments.demo out/demo
 
 PYTEST = OMP_WAIT_POLICY=PASSIVE OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -q -n $(JOBS) --dist worksteal --durations=40
 # Where units are tested, a hook checks shapes and types at every call; whole paths run without, in half the time.

@@ -12,7 +12,6 @@ What exists in OUT is not made again. Then OUT/baking.json, baking.md and baking
 whatever call made them.
 """
 
-import argparse
 import json
 import multiprocessing
 import re
@@ -21,13 +20,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from bake.options import BakeOptions
 from bench.ladder.machine import commit, cpu_name
+from command.command_line import Help, Option, parse
 from command.errors import AssetError
-from command.settings import settings_json
-from experiments.program import end_with, note
+from command.settings import AtLeast, OneOf, settings_json
+from experiments.program import end_with, note, written
 from experiments.short_training import read_kept
 from experiments.table_row import digest
 from files.whole import whole_file, write_json, write_text
@@ -81,18 +81,36 @@ class Row:
         return ", ".join(named) or f"default: {self.options.faces:,} triangles, {self.options.texture} texels a side"
 
 
+KEYS = tuple(Row(group, changed, BakeOptions()).key for group, changed in ROWS)
+
+
 @dataclass(frozen=True)
 class Options:
-    """What the command was asked for."""
+    """What the command is asked for."""
 
-    run: Path
-    capture: Path | None
-    out: Path
-    rows: tuple[Row, ...]
-    # of the held-out set
-    poses: int
-    # that frames are timed
-    seconds: float
+    run: Annotated[Path, Option(positional=True, metavar="RUN"), "a finished run (selfscan train)"]
+    out: Annotated[Path, Option(("-o", "--out"), "OUT"),
+        "gets a folder for each bake, baking.json, baking.md and baking.png"]
+    capture: Annotated[Path | None, "its capture: the videos, where run.json does not find them, and the truth, where "
+        "it holds some (selfscan synth)"] = None
+    rows: Annotated[tuple[str, ...], OneOf(KEYS), Option(metavar="ROW", several=True),
+        f"bakes to make now (default: all): {', '.join(KEYS)}"] = KEYS
+    texture: Annotated[int, "texels a side of all bakes but those whose row changes them"] = BakeOptions().texture
+    poses: Annotated[int, AtLeast(1),
+        "held-out poses compared, half a minute of processor time an avatar for four"] = 4
+    seconds: Annotated[float, "that frames are timed"] = 20.0
+
+    def __post_init__(self):
+        BakeOptions(texture=self.texture)  # refused by its own rules
+
+
+ABOUT = Help(
+    "python -m experiments.baking",
+    "What the settings of a bake cost in seconds and bring in accuracy: one run baked again and again, each time with "
+    "one setting changed, and compared with its field and with true pictures.",
+    "example: python -m experiments.baking out/demo/run --capture out/demo/capture -o out/baking; a bake takes minutes "
+    "of processor time, --texture 1024 about halves that, --rows makes only some",
+)
 
 
 def rows_of(default: BakeOptions) -> tuple[Row, ...]:
@@ -193,11 +211,12 @@ def measure(options: Options) -> list[str]:
 
     absent: list[str] = []
     done: list[float] = []
-    for number, row in enumerate(options.rows):
+    rows = [row for row in rows_of(BakeOptions(texture=options.texture)) if row.key in options.rows]
+    for number, row in enumerate(rows):
         known = (options.out / row.key / "bake.json").is_file()
-        left = len(options.rows) - number
+        left = len(rows) - number
         expected = f", about {left * sum(done) / len(done) / 60:.0f} min left" if done else ""
-        note(f"[{number + 1}/{len(options.rows)}] {row.words}{expected}")
+        note(f"[{number + 1}/{len(rows)}] {row.words}{expected}")
         start = time.perf_counter()
         if baked(row, options) is None:
             absent.append(f"{row.words}: the bake failed")
@@ -246,49 +265,12 @@ def collected(folders: Sequence[Path], times: Mapping[str, Any]) -> list[dict[st
     return sorted(rows, key=lambda row: order.index(row["key"]))
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.baking",
-        description="What the settings of a bake cost in seconds and bring in accuracy: one run baked again and again, "
-        "each time with one setting changed, and compared with its field and with true pictures.",
-        epilog="example: python -m experiments.baking out/demo/run --capture out/demo/capture -o out/baking; a bake "
-        "takes minutes of processor time, --texture 1024 about halves that, --rows makes only some",
-    )
-    names = [Row(group, changed, BakeOptions()).key for group, changed in ROWS]
-    parser.add_argument("run", metavar="RUN", type=Path, help="a finished run (selfscan train)")
-    parser.add_argument("--capture", type=Path,
-                        help="its capture: the videos, where run.json does not find them, and the truth, where it "
-                        "holds some (selfscan synth)")  # fmt: skip
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True,
-                        help="gets a folder for each bake, baking.json, baking.md and baking.png")  # fmt: skip
-    parser.add_argument("--rows", nargs="+", choices=names, metavar="ROW", default=names,
-                        help=f"bakes to make now (default: all): {', '.join(names)}")  # fmt: skip
-    parser.add_argument("--texture", type=int, default=BakeOptions().texture, metavar="N",
-                        help=f"texels a side of all bakes but those whose row changes them (default: "
-                        f"{BakeOptions().texture})")  # fmt: skip
-    parser.add_argument(
-        "--poses",
-        type=int,
-        default=4,
-        help="held-out poses compared, half a minute of processor time an avatar for four (default: 4)",
-    )
-    parser.add_argument("--seconds", type=float, default=20, help="that frames are timed (default: 20)")
-    given = parser.parse_args(argv)
-    if given.poses < 1:
-        parser.error(f"--poses should be at least 1, is {given.poses}")
-    try:
-        rows = rows_of(BakeOptions(texture=given.texture))
-    except ValueError as error:
-        parser.error(f"--texture: {error}")
-    chosen = tuple(row for row in rows if row.key in given.rows)
-    if not (given.run / "run.json").is_file():
-        raise AssetError(f"{given.run}: expected a run folder made by `selfscan train`, found no run.json")
-    given.out.mkdir(parents=True, exist_ok=True)
-    absent = measure(Options(given.run, given.capture, given.out, chosen, given.poses, given.seconds))
-    for line in absent:
-        note(f"not measured: {line}")
-    print(given.out / "baking.md")
-    return 1 if absent else 0
+def main(argv: Sequence[str]) -> int:
+    options = parse(Options, argv, ABOUT)
+    if not (options.run / "run.json").is_file():
+        raise AssetError(f"{options.run}: expected a run folder made by `selfscan train`, found no run.json")
+    options.out.mkdir(parents=True, exist_ok=True)
+    return written(options.out / "baking.md", measure(options))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ and texture coordinates in float32; features of 8 bits; network weights of float
 
 import re
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -191,25 +190,15 @@ def format_rows(path: Path, references: References, seconds: float) -> dict[str,
     avatar = replace(avatar, levels=avatar.levels[:1])
     shown = [(one.pose, one.camera.resized(FRAME_SIZE)) for one in references.seen if one.region in ("total", "head")]
     bodies = [(one.pose, one.camera.resized(FRAME_SIZE)) for one in references.bodies]
-    context = open_context()
-    try:
-        with ExitStack() as released:
-            found = variants(context, avatar)
-            renderers: dict[str, Renderer] = {}
-            for one in found:
-                name = row_name(one)
-                renderers[name] = one.make()
-                released.callback(renderers[name].release)
-            pictures = {name: drawn_pictures(renderer, shown) for name, renderer in renderers.items()}
-            far = {
-                f"{name}, {FAR:g} m from the origin": drawn_pictures(renderers[name], [moved(*one) for one in shown])
-                for name in (SHIPPED, "posing: all of it in float32")
-            }
-            # it releases them
-            released.pop_all()
-            times = timed_in_turns(renderers, bodies, seconds, SHIPPED)
-    finally:
-        context.release()
+    with open_context() as context:
+        found = variants(context, avatar)
+        renderers = {row_name(one): one.make() for one in found}
+        pictures = {name: drawn_pictures(renderer, shown) for name, renderer in renderers.items()}
+        far = {
+            f"{name}, {FAR:g} m from the origin": drawn_pictures(renderers[name], [moved(*one) for one in shown])
+            for name in (SHIPPED, "posing: all of it in float32")
+        }
+        times = timed_in_turns(renderers, bodies, seconds, SHIPPED)
     masks = [picture.max(-1) > 0 for picture in pictures[SHIPPED]]
     rows = []
     for name, drawn in {**pictures, **far}.items():

@@ -121,7 +121,7 @@ def read_references(run: Path, capture: Path | None, poses: int) -> References:
         seen = [
             Seen(
                 name if name in REGIONS else "hands", (view.axis_angle, view.root), view.camera, view.image(),
-                region_of(view, name).mask,
+                region_of(view, name)[0],
             )
             for view, name in zip(views, regions, strict=True)
         ]  # fmt: skip
@@ -221,16 +221,13 @@ def avatar_pictures(context: Context, avatar: Avatar, views: Sequence[tuple[Bare
 
 def frame_times(avatars: Mapping[str, Path], references: References, seconds: float) -> dict[str, Any]:
     """Milliseconds of a frame of each avatar in its own view mode, in turns, and as a multiple of the default's."""
-    context = open_context()
-    try:
+    with open_context() as context:
         renderers: dict[str, Renderer] = {}
         for name, path in avatars.items():
             avatar = read_avatar(path)
             renderers[name] = Renderer(context, [avatar], FRAME_SIZE, view=avatar.default_view)
         frames = [(one.pose, one.camera.resized(FRAME_SIZE)) for one in references.bodies]
         return timed_in_turns(renderers, frames, seconds, "default")
-    finally:
-        context.release()
 
 
 def timed_in_turns(

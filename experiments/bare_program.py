@@ -139,15 +139,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=240, help="pairs of neighbouring frames")
     command = parser.parse_args(argv)
     avatar = mannequin() if command.avatar is None else read_avatar(command.avatar)
-    context = open_context()
-    try:
+    with open_context() as context:
         motion = motion_for(avatar, "walking")
         camera = fitted_camera(extent(avatar, motion.read(FRAMES.start, FRAMES.stop)), SIDE, SIZE, elevation=ABOVE)
         bare = Drawn(context, avatar, motion, Case("bare", replace(PLAIN, view="off")), camera)
         shares = bare_share(context, bare, avatar, command.rounds)
         bare.renderer.release()
-    finally:
-        context.release()
     for name, share in zip(("time passed", "processor time"), shares, strict=True):
         low, high = median_interval(np.array(share))
         print(f"{name}: {np.median(share):.3f} ({low:.3f} to {high:.3f}) times the bare program's")

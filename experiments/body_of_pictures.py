@@ -18,7 +18,7 @@ from jaxtyping import UInt8
 
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
-from bench.report.contact import save_sheet, sheet
+from bench.report.sheet import save_sheet, sheet
 from capture.fit.refusals import misfits
 from capture.fit.scan import STEPS
 from capture.raw.scan import RawVideo

@@ -77,13 +77,10 @@ def main() -> None:
     avatar = read_avatar(asked.avatar)
     seen = [([frame.pose], frame.camera) for frame in motion_frames(avatar, 4, asked.size)]
     scene = BudgetScene([avatar], seen, asked.size, PLAIN, Background(), reads_back=False)
-    context = open_context()
-    try:
+    with open_context() as context:
         with Quiet() as quiet:
             rows = tried_budgets(context, scene, count=asked.count, frames=asked.frames)
         facts = quiet.facts(context)
-    finally:
-        context.release()
     for row in rows:
         print(f"{row['budget_ms']:8.2f} ms: {row['rung']:28} p95 {row['p95_ms']:7.2f}  "
               + ("holds" if row["holds"] else "FAILS") + f", {row['steps_wasted']} steps wasted")  # fmt: skip

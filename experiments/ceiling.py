@@ -97,16 +97,14 @@ def true_subject(capture: Path, truth: TrueMesh) -> SynthSubject:
 def measured_ceiling(capture: Path, poses: int | None) -> Json:
     """Novel poses of the true mesh under our weights, by region: pictures and distances."""
     facts, truth = read_truth_facts(capture), read_true_mesh(capture)
-    views = some_poses(read_held_out(capture, "novel_pose"), poses)
+    views = [view for view in some_poses(read_held_out(capture, "novel_pose"), poses) if not is_t_pose(view)]
     with open_context() as context:
         raster = Rasteriser(context)
         best = CeilingDrawer(raster, capture, facts, truth)
         judge = PictureJudge(truth, best.draw, None, raster)
-        images = score_images(judge, views, "ceiling pictures", t_pose_apart=True)
-        raster.release()
+        images = score_images(judge, views, "ceiling pictures")
     surfaces = JudgedSurfaces(geometry_case(truth, best.surface, truth.visible))
-    placements = same_poses([view for view in views if not is_t_pose(view)])
-    return regions_of(measure_poses(surfaces, placements, "ceiling surfaces")["ours"], images.scored)
+    return regions_of(measure_poses(surfaces, same_poses(views), "ceiling surfaces")["ours"], images)
 
 
 def main(argv: list[str] | None = None) -> int:

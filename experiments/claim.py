@@ -11,18 +11,19 @@ no hair label; masks and cameras exact) and *from pixels* (`selfscan import vide
 OUT/claim.md hold the tables of all people in OUT.
 """
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from capture.folder import INPUTS
+from command.command_line import Help, Option, parse
 from command.errors import AssetError
+from command.settings import AtLeast, OneOf
 from command.stages import Stage, command, run_stages
 from experiments.claim_page import FORMAT, page
 from experiments.light import folder_name
-from experiments.program import end_with, note
+from experiments.program import distinct, end_with, note, written
 from experiments.short_training import begun, share_in_words, total_steps, training_words
 from files.input_file import read_json_object
 from files.whole import write_json, write_text
@@ -38,15 +39,34 @@ FILMING, HELD_OUT, IMPORT, TRAINING, POSE = 0.25, 3.0, 0.1, 10.0, 0.7
 class Options:
     """What decides the numbers; a folder holds those of one of them."""
 
-    preset: str
-    # of every part; None: the preset's
-    steps: int | None
-    size: int  # the videos' shorter side, pixels
-    seconds: float  # of the turn in each raw video
-    frames: int  # used of each video
-    seed: int
-    poses: int  # of each held-out set
-    light: str
+    preset: Annotated[str, OneOf(tuple(sorted(PRESETS)))] = "demo"
+    steps: Annotated[int | None, AtLeast(1), "of every part, instead of the preset's"] = None
+    size: Annotated[int, AtLeast(96), "pixels of the videos' shorter side"] = 540
+    seconds: Annotated[float, "of the turn in each raw video"] = 20.0
+    frames: Annotated[int, AtLeast(8), "used of each video"] = 40
+    seed: Annotated[int, "of filming and training"] = 0
+    poses: Annotated[int, AtLeast(1), "of each held-out set, which has 20"] = 20
+    light: Annotated[str, "of everything that is filmed"] = "room"
+
+
+@dataclass(frozen=True)
+class ClaimCommand:
+    people: Annotated[tuple[str, ...], Option(positional=True, metavar="PERSON", several=True),
+        "builtin, builtin:female or a rigged .glb[:female]"]
+    out: Annotated[Path, Option(("-o", "--out"), "OUT"), "gets claim.md and claim.json"]
+    options: Annotated[Options, "what decides the numbers"]
+    only: Annotated[tuple[str, ...], OneOf(INPUTS), Option(metavar="COLUMN", repeated=True),
+        "make no other column (may be given again); what is there stays in the table"] = ()
+
+    def __post_init__(self):
+        distinct([folder_of(person) for person in self.people], "people")
+
+
+ABOUT = Help(
+    "python -m experiments.claim",
+    "A person from four raw videos beside what is given: one table, three kinds of input.",
+    "example: python -m experiments.claim builtin White_F.glb:female -o out/claim --steps 200 --poses 2",
+)
 
 
 def person_and_sex(name: str) -> tuple[str, str]:
@@ -70,13 +90,8 @@ def stature_of(person: str) -> float:
     from player.draw.raster import Rasteriser
     from player.gl.context import open_context
 
-    context = open_context()
-    rasteriser = Rasteriser(context)
-    try:
-        return Filming(person, rasteriser).stature
-    finally:
-        rasteriser.release()
-        context.release()
+    with open_context() as context:
+        return Filming(person, Rasteriser(context)).stature
 
 
 def stages(options: Options, name: str, out: Path) -> dict[str, list[Stage]]:
@@ -172,45 +187,16 @@ def collect(out: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The command line; see `python -m experiments.claim --help`."""
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.claim",
-        description="A person from four raw videos beside what is given: one table, three kinds of input.",
-        epilog="example: python -m experiments.claim builtin White_F.glb:female -o out/claim --steps 200 --poses 2",
-    )
-    parser.add_argument("people", metavar="PERSON", nargs="+", help="builtin, builtin:female or a rigged .glb[:female]")
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="gets claim.md and claim.json")
-    parser.add_argument("--preset", choices=sorted(PRESETS), default="demo")
-    parser.add_argument("--steps", type=int, metavar="N", help="of every part, instead of the preset's")
-    parser.add_argument("--size", type=int, default=540, help="pixels of the videos' shorter side (default: 540)")
-    parser.add_argument("--seconds", type=float, default=20.0, help="of the turn in each raw video (default: 20)")
-    parser.add_argument("--frames", type=int, default=40, help="used of each video (default: 40)")
-    parser.add_argument("--seed", type=int, default=0, help="of filming and training (default: 0)")
-    parser.add_argument("--poses", type=int, default=20, help="of each held-out set (default: 20, all)")
-    parser.add_argument("--only", choices=INPUTS, action="append", metavar="COLUMN",
-                        help="make no other column (may be given again); what is there stays in the table")  # fmt: skip
-    parser.add_argument("--light", default="room", help="of everything that is filmed (default: room)")
-    given = parser.parse_args(argv)
-    for name, least in (("steps", 1), ("poses", 1), ("frames", 8), ("size", 96)):
-        value = getattr(given, name)
-        if value is not None and value < least:
-            parser.error(f"--{name} should be at least {least}, is {value}")
-    names = [folder_of(person) for person in given.people]
-    if len(set(names)) < len(names):
-        parser.error(f"people are told apart by their files' names, which are {', '.join(names)}")
-    options = Options(given.preset, given.steps, given.size, given.seconds, given.frames, given.seed, given.poses,
-                      given.light)  # fmt: skip
-    settle(given.out, asdict(options))
-    absent = run_all(options, given.people, given.out, given.only or INPUTS)
-    found = collect(given.out)
+def main(argv: Sequence[str]) -> int:
+    given = parse(ClaimCommand, argv, ABOUT)
+    options, out = given.options, given.out
+    settle(out, asdict(options))
+    absent = run_all(options, given.people, out, given.only or INPUTS)
+    found = collect(out)
     facts = asdict(options) | {"share": share_in_words(options.preset, options.steps)}
-    write_json(given.out / "claim.json", {"format": FORMAT, "options": facts, "people": found, "absent": absent})
-    write_text(given.out / "claim.md", page(found, facts))
-    for line in absent:
-        note(f"not made: {line}")
-    print(given.out / "claim.md")
-    return 1 if absent else 0
+    write_json(out / "claim.json", {"format": FORMAT, "options": facts, "people": found, "absent": absent})
+    write_text(out / "claim.md", page(found, facts))
+    return written(out / "claim.md", absent, "made")
 
 
 if __name__ == "__main__":

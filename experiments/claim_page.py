@@ -16,7 +16,8 @@ REGIONS = ("total", "head", "hands")
 Result = dict[str, Any]
 
 
-def _at(result: Result, *keys: str) -> float | None:
+def number_of(result: Result, keys: Sequence[str]) -> float | None:
+    """result[keys[0]][keys[1]]..., None where any of them is absent."""
     found: Any = result
     for key in keys:
         found = found.get(key) if isinstance(found, dict) else None
@@ -48,7 +49,7 @@ ROWS = (
 
 def value(results: Sequence[Result], keys: tuple[str, ...], region: str) -> float | None:
     """Mean of a number over people; None where one of them has none."""
-    found = [_at(result, *(region if key == "*" else key for key in keys)) for result in results]
+    found = [number_of(result, [region if key == "*" else key for key in keys]) for result in results]
     known = [x for x in found if x is not None]
     return float(np.mean(known)) if known and len(known) == len(found) else None
 

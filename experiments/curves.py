@@ -18,17 +18,19 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from bench.ladder.machine import cpu_name
 from capture.folder import read_capture_facts
 from capture.held_out import SETS
+from command.command_line import Help, Option, parse
 from command.errors import AssetError
+from command.settings import AtLeast, OneOf
 from command.stages import command
 from experiments.curve_page import markdown, plot
-from experiments.program import end_with, note
+from experiments.program import end_with, note, written
 from experiments.short_training import begun, read_kept, share_in_words, total_steps, training_words
 from experiments.table_row import digest
 from files.whole import write_json, write_text
@@ -38,7 +40,6 @@ from train.run import read_facts
 FORMAT = "selfscan-curve-point"
 REGIONS = ("total", "head", "hands")
 SCORES = ("psnr_db", "psnr_mask_db", "ssim", "flip", "p2s_cm")
-STEPS = ("10", "40", "150", "500", "whole")
 
 
 @dataclass(frozen=True)
@@ -61,21 +62,49 @@ class Planned:
         return f"{self.capture.name}: {share_in_words(self.preset, self.steps)}{left_out}"
 
 
+def left_out(text: str) -> tuple[str, ...]:
+    """Items of a word such as hair+clothes."""
+    items = tuple(text.split("+"))
+    unknown = [item for item in items if item not in ITEMS]
+    if unknown or len(set(items)) < len(items):
+        raise argparse.ArgumentTypeError(f"should be of {', '.join(ITEMS)}, joined by +, is {text!r}")
+    return tuple(sorted(items))
+
+
+def step_count(text: str) -> int | None:
+    """Steps of every part; None: the preset's own."""
+    if text == "whole":
+        return None
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"should be a positive number or whole, is {text!r}")
+    return int(text)
+
+
 @dataclass(frozen=True)
 class Options:
-    """What the command was asked for."""
+    """What the command is asked for."""
 
-    subjects: tuple[Path, ...]
-    out: Path
-    steps: tuple[int | None, ...]
-    presets: tuple[str, ...]
+    subjects: Annotated[tuple[Path, ...], Option(positional=True, metavar="CAPTURE_OR_RUN", several=True),
+        "a capture with truth/ (selfscan synth), or a finished run, which becomes one more point of its capture"]
+    out: Annotated[Path, Option(("-o", "--out"), "OUT"), "gets runs, points, curves.json, curves.md and curves.png"]
+    steps: Annotated[tuple[int | None, ...], Option(metavar="N", parse=step_count, several=True),
+        "steps of every part, one training each; whole: the preset's own"] = (10, 40, 150, 500, None)
+    presets: Annotated[tuple[str, ...], OneOf(tuple(sorted(PRESETS))), Option(several=True)] = ("demo",)
     # each entry: items that one more training leaves out
-    without: tuple[tuple[str, ...], ...]
-    without_steps: int | None
-    # of each held-out set
-    poses: int
-    device: str
-    seed: int
+    without: Annotated[tuple[tuple[str, ...], ...], Option(metavar="ITEM[+ITEM]", parse=left_out, several=True),
+        f"trainings that leave out items of the preset: {', '.join(ITEMS)}"] = ()
+    without_steps: Annotated[int | None, Option(metavar="N", parse=step_count),
+        "steps of these, and of the whole preset beside them"] = 150
+    poses: Annotated[int, AtLeast(1), "of each held-out set"] = 2
+    device: Annotated[str, OneOf(("cpu", "cuda"))] = "cpu"
+    seed: int = 0
+
+
+ABOUT = Help(
+    "python -m experiments.curves",
+    "Quality against seconds of training: a capture trained short, longer and whole, each scored on held-out pictures.",
+    "example: python -m experiments.curves out/cap/white_m -o out/curves --without eyes hair+clothes",
+)
 
 
 def planned(options: Options) -> list[Planned]:
@@ -264,61 +293,10 @@ def write_report(out: Path, absent: list[str]) -> None:
     plot(result, out / "curves.png")
 
 
-def left_out(text: str) -> tuple[str, ...]:
-    """Items of a word such as hair+clothes."""
-    items = tuple(text.split("+"))
-    unknown = [item for item in items if item not in ITEMS]
-    if unknown or len(set(items)) < len(items):
-        raise argparse.ArgumentTypeError(f"should be of {', '.join(ITEMS)}, joined by +, is {text!r}")
-    return tuple(sorted(items))
-
-
-def step_count(text: str) -> int | None:
-    """Steps of every part; None: the preset's own."""
-    if text == "whole":
-        return None
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"should be a positive number or whole, is {text!r}")
-    return int(text)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.curves",
-        description="Quality against seconds of training: a capture trained short, longer and whole, each scored on "
-        "held-out pictures.",
-        epilog="example: python -m experiments.curves out/cap/white_m -o out/curves --without eyes hair+clothes",
-    )
-    parser.add_argument("subjects", metavar="CAPTURE_OR_RUN", nargs="+", type=Path,
-                        help="a capture with truth/ (selfscan synth), or a finished run, which becomes one more point "
-                        "of its capture")  # fmt: skip
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True,
-                        help="gets runs, points, curves.json, curves.md and curves.png")  # fmt: skip
-    parser.add_argument("--steps", nargs="*", type=step_count, metavar="N", default=[step_count(s) for s in STEPS],
-                        help="steps of every part, one training each; whole: the preset's own (default: "
-                        f"{' '.join(STEPS)})")  # fmt: skip
-    parser.add_argument("--presets", nargs="+", choices=sorted(PRESETS), default=["demo"])
-    parser.add_argument("--without", nargs="*", type=left_out, default=[], metavar="ITEM[+ITEM]",
-                        help=f"trainings that leave out items of the preset: {', '.join(ITEMS)}")  # fmt: skip
-    parser.add_argument("--without-steps", type=step_count, default=150, metavar="N",
-                        help="steps of these, and of the whole preset beside them (default: 150)")  # fmt: skip
-    parser.add_argument("--poses", type=int, default=2, help="of each held-out set (default: 2)")
-    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args(argv)
-    if given.poses < 1:
-        parser.error(f"--poses should be at least 1, is {given.poses}")
-    options = Options(
-        subjects=tuple(given.subjects), out=given.out, steps=tuple(given.steps), presets=tuple(given.presets),
-        without=tuple(given.without), without_steps=given.without_steps, poses=given.poses, device=given.device,
-        seed=given.seed,
-    )  # fmt: skip
+def main(argv: Sequence[str]) -> int:
+    options = parse(Options, argv, ABOUT)
     options.out.mkdir(parents=True, exist_ok=True)
-    absent = measure(options)
-    for line in absent:
-        note(f"not measured: {line}")
-    print(options.out / "curves.md")
-    return 1 if absent else 0
+    return written(options.out / "curves.md", measure(options))
 
 
 if __name__ == "__main__":

@@ -143,8 +143,8 @@ def main(argv: list[str] | None = None) -> int:
     avatar = read_avatar(command.avatar)
     frames = motion_frames(avatar, FRAMES) if command.capture is None else held_out_frames(command.capture, FRAMES)
     truths = [frame.truth.image() for frame in frames if frame.truth is not None]
-    rung, context = rungs_of(avatar)[0], open_context()
-    try:
+    rung = rungs_of(avatar)[0]
+    with open_context() as context:
         plain = rung_pictures(context, avatar, rung, frames)
         masks = [
             picture.max(-1) > 0 if frame.truth is None else frame.truth.mask()
@@ -152,8 +152,6 @@ def main(argv: list[str] | None = None) -> int:
         ]
         crops = [crop_of(mask) for mask in masks]
         drawn = effect_rows(context, avatar, rung, frames, plain, crops, masks, truths, command.rounds)
-    finally:
-        context.release()
     rows = [effect.row for effect in drawn]
     page = effects_section(rows, rung.name)
     result = {"format": "selfscan-effect-rungs", "avatar": avatar.name, "effects": rows}

@@ -102,8 +102,7 @@ def read_scan(data: Path, name: str, out: Path, templates: Path | None) -> Scan:
     skin, first = rigged.parts[number], sum(len(part.vertices) for part in rigged.parts[:number])
     points = rigged.vertices[first : first + len(skin.vertices)].astype(np.float64)
     whole = np.concatenate([part.faces + at for part, at in zip(rigged.parts, _starts(rigged.parts), strict=True)])
-    context = open_context()
-    try:
+    with open_context() as context:
         rasteriser = Rasteriser(context)
         seen = visible_faces(rasteriser, rigged.vertices.astype(np.float32), whole.astype(np.int32))
         kept = (templates or out / "templates") / name / "subject.npz"
@@ -113,9 +112,6 @@ def read_scan(data: Path, name: str, out: Path, templates: Path | None) -> Scan:
             found = register(subject, visible, rasteriser)
             kept.parent.mkdir(parents=True, exist_ok=True)
             write_template(kept, found.mesh, found.hair, found.eyes)
-        rasteriser.release()
-    finally:
-        context.release()
     begin = sum(len(part.faces) for part in rigged.parts[:number])
     faces = skin.faces[seen[begin : begin + len(skin.faces)]].astype(np.int64)
     stored = read_npz(data / "morphs" / f"{name}_morphs.npz", "shapes", tuple(f"{SKIN}/{k}" for k in FIELDS))

@@ -42,7 +42,7 @@ from player.gl.context import open_context
 from synth.command import load_subject
 from synth.cutout import cut_out
 from synth.photo import Studio
-from synth.raw.detector import Detector, Mistakes
+from synth.raw.detector import KEPT, Detector, Mistakes
 from synth.raw.film import RATE
 from synth.raw.movement import EMPTY, ENTERING, RawShots, plan_raw_video
 from synth.visibility import visible_faces
@@ -146,7 +146,7 @@ class Filming:
         rows = np.zeros((frames, len(NAMES), 3))
         for i, f in enumerate(chosen):
             if i:
-                detector.skip(int(f - chosen[i - 1] - 1))
+                _pass_over(detector, int(f - chosen[i - 1] - 1))
             pose = shots.axis_angle[f], shots.root[f]
             found = detector.look(*pose, self.studio.posed(*pose))
             if found is not None:
@@ -236,6 +236,14 @@ def _groups(rows: list[dict[str, Any]]) -> list[tuple[Source, str, list[dict[str
     return found
 
 
+def _pass_over(detector: Detector, frames: int) -> None:
+    """Frames that the detector does not look at."""
+    kept = KEPT**frames
+    fresh = detector.rng.standard_normal(detector.lasting.shape)
+    detector.lasting = kept * detector.lasting + np.sqrt(1 - kept**2) * fresh
+    detector.exchanged_for = max(0, detector.exchanged_for - frames)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m experiments.fitting", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("out", type=Path, help="folder for the results")
@@ -255,33 +263,31 @@ def main(argv: Sequence[str] | None = None) -> int:
     version = commit()
     identity = lambda row: tuple(row[key] for key in ("subject", "seed", "source", "input", "frames", "size"))
     for name in given.subjects:
-        context = open_context()
-        rasteriser = Rasteriser(context)
-        filming = None
-        for seed in given.seeds:
-            for source in given.sources:
-                if (NAMED[source].rim or NAMED[source].film) and not given.outlines:
-                    continue
-                row = {"subject": name, "seed": seed, "source": source, "input": witness, "frames": given.frames,
-                       "size": given.size, "commit": version}  # fmt: skip
-                pictures = given.out / f"{Path(name).stem.replace(':', '_')}_{seed}_{source}.png"
-                known = identity(row) in map(identity, rows)
-                if known and not (given.pictures and not pictures.exists()):
-                    continue
-                filming = filming or Filming(name, rasteriser)
-                seen = filming.seen(NAMED[source], seed, given.frames, given.size, outlines=given.outlines)
-                stages, spent = fitted_stages(seen, filming.sex, outlines=given.outlines)
-                row["scores"] = scores(list(stages.values())[-1], seen.footage, seen.truth) | {"cpu_s": round(spent, 1)}
-                heading = f"{name} seed {seed}, {NAMED[source].says}"
-                print(f"{heading}: {json.dumps(row['scores'])}", flush=True)
-                if given.pictures:
-                    write_pictures(pictures, filming.studio, seen.truth, seen.footage, stages, heading)
-                if known:
-                    continue
-                rows.append(row)
-                write_json(path, {"rows": rows})
-        rasteriser.release()
-        context.release()
+        with open_context() as context:
+            rasteriser, filming = Rasteriser(context), None
+            for seed in given.seeds:
+                for source in given.sources:
+                    if (NAMED[source].rim or NAMED[source].film) and not given.outlines:
+                        continue
+                    row = {"subject": name, "seed": seed, "source": source, "input": witness, "frames": given.frames,
+                           "size": given.size, "commit": version}  # fmt: skip
+                    pictures = given.out / f"{Path(name).stem.replace(':', '_')}_{seed}_{source}.png"
+                    known = identity(row) in map(identity, rows)
+                    if known and not (given.pictures and not pictures.exists()):
+                        continue
+                    filming = filming or Filming(name, rasteriser)
+                    seen = filming.seen(NAMED[source], seed, given.frames, given.size, outlines=given.outlines)
+                    stages, spent = fitted_stages(seen, filming.sex, outlines=given.outlines)
+                    row["scores"] = scores(list(stages.values())[-1], seen.footage, seen.truth)
+                    row["scores"] |= {"cpu_s": round(spent, 1)}
+                    heading = f"{name} seed {seed}, {NAMED[source].says}"
+                    print(f"{heading}: {json.dumps(row['scores'])}", flush=True)
+                    if given.pictures:
+                        write_pictures(pictures, filming.studio, seen.truth, seen.footage, stages, heading)
+                    if known:
+                        continue
+                    rows.append(row)
+                    write_json(path, {"rows": rows})
     write_text(given.out / "fitting.md", markdown(rows))
     plot(rows, given.out / "fitting.png")
     print(markdown(rows))

@@ -10,7 +10,7 @@ from scipy import ndimage
 from avatar.camera import project
 from avatar.kinematics import skinned
 from avatar.skeleton import PARENTS
-from bench.report.contact import save_sheet, sheet
+from bench.report.sheet import save_sheet, sheet
 from capture.fit.body import MOVING
 from capture.fit.footage import Estimate, Footage
 from capture.fit.solve import posed_frames

@@ -8,19 +8,20 @@ are written from all scores in OUT, whatever call made them: dB lost against the
 what is allowed.
 """
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 # before any GL context: it loads an LLVM that crashes when Mesa's came first
 import torch._dynamo  # noqa: F401
 
 from bench.report.writer import markdown_table
+from command.command_line import Help, Option, parse
+from command.settings import AtLeast, OneOf
 from command.stages import command
 from experiments.light_scores import FORMAT, REGIONS, measured, stamp
-from experiments.program import end_with, note
+from experiments.program import distinct, end_with, note, written
 from experiments.short_training import begun, read_kept, share_in_words, three, training_words
 from files.input_file import read_json_object
 from files.whole import write_json, write_text
@@ -34,20 +35,30 @@ LIGHTS = ("even", "soft", "fixed", "room")
 
 @dataclass(frozen=True)
 class Options:
-    """What the command was asked for."""
+    """What the command is asked for."""
 
-    people: tuple[str, ...]
-    out: Path
-    lights: tuple[str, ...]
-    preset: str
-    # of every part; None: the preset's
-    steps: int | None
-    size: int
-    frames: int
-    seed: int
-    poses: int  # of each held-out set
-    # also train with light as no factor of its own
-    without: bool
+    people: Annotated[tuple[str, ...], Option(positional=True, metavar="PERSON", several=True),
+        "builtin, builtin:female or a rigged .glb"]
+    out: Annotated[Path, Option(("-o", "--out"), "OUT"), "gets light.md and light.json"]
+    lights: Annotated[tuple[str, ...], OneOf(MODES), Option(several=True),
+        "even, which the others are compared with, is always among them"] = LIGHTS
+    preset: Annotated[str, OneOf(tuple(sorted(PRESETS)))] = "demo"
+    steps: Annotated[int | None, AtLeast(1), "of every part, instead of the preset's"] = None
+    size: Annotated[int, "pixels of the videos"] = 256
+    frames: Annotated[int, "of each video"] = 40
+    seed: Annotated[int, "of the captures and trainings"] = 0
+    poses: Annotated[int, AtLeast(1), "of each held-out set"] = 3
+    without: Annotated[bool, "also train with light as no factor of its own"] = False
+
+    def __post_init__(self):
+        distinct([folder_name(person) for person in self.people], "people")
+
+
+ABOUT = Help(
+    "python -m experiments.light",
+    "What light in a capture costs, against the same person under even light.",
+    "example: python -m experiments.light builtin White_M.glb -o out/light --steps 400 --poses 2",
+)
 
 
 def folder_name(person: str) -> str:
@@ -83,7 +94,8 @@ def trained(options: Options, capture: Path, light_factor: bool) -> Path | None:
 def person_scores(options: Options, person: str) -> list[str]:
     """All lights of one person; what could not be measured, in words."""
     absent = []
-    for light in options.lights:
+    # even first: the held-out poses are there
+    for light in ("even", *(light for light in MODES if light in options.lights and light != "even")):
         label = f"{folder_name(person)}, {light}"
         capture = filmed(options, person, light)
         if capture is None:
@@ -175,46 +187,14 @@ def _at(scores: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
     return scores
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.light",
-        description="What light in a capture costs, against the same person under even light.",
-        epilog="example: python -m experiments.light builtin White_M.glb -o out/light --steps 400 --poses 2",
-    )
-    parser.add_argument("people", metavar="PERSON", nargs="+", help="builtin, builtin:female or a rigged .glb")
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="gets light.md and light.json")
-    parser.add_argument("--lights", nargs="+", choices=MODES, default=list(LIGHTS),
-                        help=f"default: {', '.join(LIGHTS)}; even is what the others are compared with")  # fmt: skip
-    parser.add_argument("--preset", choices=sorted(PRESETS), default="demo")
-    parser.add_argument("--steps", type=int, metavar="N", help="of every part, instead of the preset's")
-    parser.add_argument("--size", type=int, default=256, help="pixels of the videos (default: 256)")
-    parser.add_argument("--frames", type=int, default=40, help="of each video (default: 40)")
-    parser.add_argument("--seed", type=int, default=0, help="of the captures and trainings (default: 0)")
-    parser.add_argument("--poses", type=int, default=3, help="of each held-out set (default: 3)")
-    parser.add_argument("--without", action="store_true", help="also train with light as no factor of its own")
-    given = parser.parse_args(argv)
-    for name in ("steps", "poses"):
-        value = getattr(given, name)
-        if value is not None and value < 1:
-            parser.error(f"--{name} should be at least 1, is {value}")
-    names = [folder_name(person) for person in given.people]
-    if len(set(names)) < len(names):
-        parser.error(f"people are told apart by their files' names, which are {', '.join(names)}")
-    # even first: the held-out poses are there
-    lights = ("even", *(light for light in MODES if light in given.lights and light != "even"))
-    options = Options(
-        tuple(given.people), given.out, lights, given.preset, given.steps, given.size, given.frames, given.seed,
-        given.poses, given.without,
-    )  # fmt: skip
+def main(argv: Sequence[str]) -> int:
+    options = parse(Options, argv, ABOUT)
     options.out.mkdir(parents=True, exist_ok=True)
     absent = [line for person in options.people for line in person_scores(options, person)]
     found = collect(options.out)
     write_json(options.out / "light.json", {"format": "selfscan-light", "scores": found, "absent": absent})
     write_text(options.out / "light.md", page(found))
-    for line in absent:
-        note(f"not measured: {line}")
-    print(options.out / "light.md")
-    return 1 if absent else 0
+    return written(options.out / "light.md", absent)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,6 @@ from capture.folder import read_capture
 from capture.held_out import SETS, HeldOutView, read_held_out, some_poses
 from experiments.table_row import digest
 from geometry.mesh import vertex_normals
-from player.draw.raster import Rasteriser
 from synth.command import load_subject
 from synth.cutout import cut_out
 from synth.light import StudioLight, light_of
@@ -89,8 +88,7 @@ def measured(run: Path, person: str, even: Path, light: str, seed: int, poses: i
     true_light = light_of(light, "body", seed)
     source = read_run(run)
     drawer = Drawer(source)
-    raster = Rasteriser(drawer.context)
-    studio = Studio(raster, subject, supersample=2)
+    studio = Studio(drawer.raster, subject, supersample=2)
     camera_axis = -np.asarray(_body_axis(even))
     try:
         result: dict[str, Any] = {"found": found_light(source.world_light, true_light)}
@@ -101,7 +99,6 @@ def measured(run: Path, person: str, even: Path, light: str, seed: int, poses: i
                 result[name] = scores(compared)
         measured_on = machine(drawer.context)
     finally:
-        raster.release()
         drawer.release()
     return result | {"machine": measured_on, "cpu_seconds": round(time.process_time() - began, 1)}
 
@@ -123,7 +120,7 @@ def compare(
     shown = drawer.field
     assert shown is not None
     vertices = studio.posed(view.axis_angle, view.root)
-    mask = region_of(view, VIEW_REGION[view.view]).mask
+    mask = region_of(view, VIEW_REGION[view.view])[0]
     true = {
         name: studio.take(vertices, view.camera, one, 0.0).image[mask] / 255
         for name, one in (("captured", light), ("albedo", EVEN), ("key", KEY))

@@ -59,15 +59,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--side", type=int, default=512, help="pixels of a picture")
     parser.add_argument("--width", type=int, default=1400, help="pixels of the sheet")
     options = parser.parse_args(argv)
-    context = open_context()
-    rasteriser = Rasteriser(context)
     rows = []
-    for seed in options.seeds:
-        subject = person(seed)
-        print(f"{subject.name}: {len(subject.vertices)} vertices, {len(subject.faces)} faces")
-        rows.append(np.concatenate(tiles(Studio(rasteriser, subject, 2), options.side), 1))
-    rasteriser.release()
-    context.release()
+    with open_context() as context:
+        rasteriser = Rasteriser(context)
+        for seed in options.seeds:
+            subject = person(seed)
+            print(f"{subject.name}: {len(subject.vertices)} vertices, {len(subject.faces)} faces")
+            rows.append(np.concatenate(tiles(Studio(rasteriser, subject, 2), options.side), 1))
     rows += [np.full_like(rows[0], GROUND)] * (len(rows) % 2)
     page = Image.fromarray(np.concatenate([np.concatenate(rows[i : i + 2], 1) for i in range(0, len(rows), 2)]))
     page = page.resize((options.width, page.height * options.width // page.width), Image.Resampling.LANCZOS)

@@ -1,7 +1,7 @@
-"""What the programs of this folder share: lines about what begins, and how they end."""
+"""What the programs of this folder share: lines about what begins, what was absent, and how they end."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -13,9 +13,23 @@ def note(text: str) -> None:
     print(f"{Path(sys.argv[0]).stem}: {text}", file=sys.stderr, flush=True)
 
 
-def end_with(main: Callable[[], int | None]) -> NoReturn:
+def written(page: Path, absent: Sequence[str], was_not: str = "measured") -> int:
+    """Say what is missing in a page, and where it is; the program's status."""
+    for line in absent:
+        note(f"not {was_not}: {line}")
+    print(page)
+    return 1 if absent else 0
+
+
+def distinct(names: Sequence[str], what: str) -> None:
+    """Refuse two of one name: their results would share a folder."""
+    if len(set(names)) < len(names):
+        raise ValueError(f"{what} are told apart by their names, which are {', '.join(names)}")
+
+
+def end_with(main: Callable[[list[str]], int | None]) -> NoReturn:
     """Run the program and end with its status, or with its error as one line."""
     try:
-        raise SystemExit(main())
+        raise SystemExit(main(sys.argv[1:]))
     except AssetError as error:
         raise SystemExit(f"{Path(sys.argv[0]).stem}: {error}") from None

@@ -15,11 +15,13 @@ from avatar.camera import Camera, orbit_camera
 from avatar.skeleton import JOINTS
 from avatar.texture import bytes_of
 from bench.field.drawer import Drawer
-from bench.report.contact import VIEW_TITLE, save_sheet, sheet, spread_poses, square_about
+from bench.ladder.rung_pictures import spread_poses
+from bench.report.sheet import save_sheet, sheet
 from bench.score.picture_scores import is_t_pose
 from bench.score.true_mesh import TrueMesh
 from capture.held_out import HeldOutView
 from experiments.ceiling import true_subject
+from experiments.contact_sheet import VIEW_TITLE, square_about
 from files.picture import read_picture
 from files.whole import whole_file
 from player.draw.raster import Rasteriser

@@ -207,33 +207,27 @@ def bench_scale(
     report: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Measure every sweep, write scale.json and scale.md into folder `out`."""
-    context = open_context()
     last = len(avatar.levels) - 1
-    try:
-        with Quiet() as quiet:
+    with open_context() as context, Quiet() as quiet:
 
-            def standing(level: int) -> Sweep:
-                made = {
-                    count: partial(crowd, context, avatar, count, level=level, size=size) for count in steps.avatars
-                }
-                return drawn_sweep(f"avatars, {len(avatar.levels[level].faces)} triangles each", made, rounds, report)
+        def standing(level: int) -> Sweep:
+            made = {count: partial(crowd, context, avatar, count, level=level, size=size) for count in steps.avatars}
+            return drawn_sweep(f"avatars, {len(avatar.levels[level].faces)} triangles each", made, rounds, report)
 
-            few = len(avatar.levels[last].faces)
-            sweeps = [standing(last)]
-            if last:
-                sweeps.append(standing(0))
-                by_faces = {
-                    len(one.faces): partial(crowd, context, avatar, 1, level=k, size=size)
-                    for k, one in enumerate(avatar.levels)
-                }
-                sweeps.append(drawn_sweep("triangles of one avatar", by_faces, rounds, report))
-            by_pixels = {
-                side * side: partial(crowd, context, avatar, 1, level=last, size=(side, side)) for side in steps.sides
+        few = len(avatar.levels[last].faces)
+        sweeps = [standing(last)]
+        if last:
+            sweeps.append(standing(0))
+            by_faces = {
+                len(one.faces): partial(crowd, context, avatar, 1, level=k, size=size)
+                for k, one in enumerate(avatar.levels)
             }
-            sweeps.append(drawn_sweep(f"pixels, one avatar of {few} triangles", by_pixels, rounds, report))
-            sweeps.append(motion_sweep(avatar, steps.frames, rounds, report))
-    finally:
-        context.release()
+            sweeps.append(drawn_sweep("triangles of one avatar", by_faces, rounds, report))
+        by_pixels = {
+            side * side: partial(crowd, context, avatar, 1, level=last, size=(side, side)) for side in steps.sides
+        }
+        sweeps.append(drawn_sweep(f"pixels, one avatar of {few} triangles", by_pixels, rounds, report))
+        sweeps.append(motion_sweep(avatar, steps.frames, rounds, report))
     result = {
         "format": "selfscan-bench-scale",
         **quiet.facts(context),

@@ -226,19 +226,15 @@ def speed(
     """Measure, write speed.json, speed.md and speed.png into folder `out`, and return what was written."""
     avatar, stand_in = with_stand_in(read_avatar(path))
     poses, camera_of = body_frames(avatar)
-    context = open_context()
-    try:
-        with Quiet() as quiet:
-            measured = []
-            for size in sizes:
-                print(f"measuring: {size[0]}x{size[1]}", flush=True)
-                measured.append(time_size(context, avatar, poses, camera_of(size), seconds))
-            found = None
-            if peers is not None:
-                found = time_peers(context, avatar, poses, camera_of(SIZES[0]), peers, peer_names, styles, seconds / 2)
-            session = speed_rows.measure(rows, path, context, poses, camera_of(SIZES[0]))
-    finally:
-        context.release()
+    with open_context() as context, Quiet() as quiet:
+        measured = []
+        for size in sizes:
+            print(f"measuring: {size[0]}x{size[1]}", flush=True)
+            measured.append(time_size(context, avatar, poses, camera_of(size), seconds))
+        found = None
+        if peers is not None:
+            found = time_peers(context, avatar, poses, camera_of(SIZES[0]), peers, peer_names, styles, seconds / 2)
+        session = speed_rows.measure(rows, path, context, poses, camera_of(SIZES[0]))
     result = {
         "format": "selfscan-speed",
         "version": 1,

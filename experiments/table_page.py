@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.report.writer import markdown_table
 from bench.report.writer import number as rounded
+from experiments.claim_page import number_of
 from experiments.paper_numbers import (
     GEOMETRY,
     PAPER_GEOMETRY,
@@ -41,14 +42,6 @@ class Mean:
         if self.deviation is None:
             return f"{self.value:.{digits}f}"
         return f"{self.value:.{digits}f} ± {self.deviation:.{digits}f}"
-
-
-def number_of(result: dict[str, Any], keys: Sequence[str]) -> float | None:
-    """result[keys[0]][keys[1]]..., None where any of them is absent."""
-    found: Any = result
-    for key in keys:
-        found = found.get(key) if isinstance(found, dict) else None
-    return found
 
 
 def mean_of(results: Iterable[dict[str, Any]], *keys: str) -> Mean | None:
@@ -82,11 +75,7 @@ def columns(metrics: Sequence[str]) -> list[str]:
 
 
 def paper_cells(scores: dict[str, dict[str, float]], metrics: Sequence[str]) -> list[str]:
-    out = []
-    for region in REGIONS:
-        for metric in metrics:
-            out.append(rounded(scores[region].get(metric), SHOWN[metric][2]))
-    return out
+    return [rounded(scores[region].get(metric), SHOWN[metric][2]) for region in REGIONS for metric in metrics]
 
 
 def our_cells(results: list[dict[str, Any]], metrics: Sequence[str], part: str = "novel_pose") -> list[str]:
@@ -129,6 +118,10 @@ def as_in_paper(
             compared.append(label)
             if (a.value - b.value) * difference <= 0:
                 otherwise.append(label)
+    return verdict(compared, otherwise)
+
+
+def verdict(compared: list[str], otherwise: list[str]) -> str:
     if not compared:
         return "not measured"
     return "no: " + ", ".join(otherwise) if otherwise else f"yes ({len(compared)} of {len(compared)})"
@@ -146,9 +139,7 @@ def seams_as_in_paper(name: str, ours: list[dict[str, Any]], row: list[dict[str,
         compared.append(place)
         if b.value <= a.value:
             otherwise.append(f"{place.replace('_', ' ')} {SEAM_SHOWN[spec.measure][0]}")
-    if not compared:
-        return "not measured"
-    return "no: " + ", ".join(otherwise) if otherwise else f"yes ({len(compared)} of {len(compared)})"
+    return verdict(compared, otherwise)
 
 
 def title_of(name: str, results: list[dict[str, Any]], people: int) -> str:
@@ -229,11 +220,7 @@ def seams(results: list[dict[str, Any]]) -> list[str]:
         rows.append([title_of(name, those, people), *cells, judged])
     if not rows:
         return []
-    return [
-        "### Figure 6 in numbers: the seams",
-        "",
-        *table([*head, "as in the paper"], rows),
-    ]
+    return ["### Figure 6 in numbers: the seams", "", *table([*head, "as in the paper"], rows)]
 
 
 def cost(results: list[dict[str, Any]]) -> list[str]:

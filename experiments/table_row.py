@@ -179,12 +179,12 @@ def measured_row(
     drawer: Drawer, truth: TrueMesh, views: list[HeldOutView], geometry: bool, perceive: Perceive | None
 ) -> dict[str, Any]:
     """Novel poses only, without what `selfscan eval` puts beside them; distances where the surface is not ours."""
-    images = score_images(PictureJudge(truth, drawer.draw, perceive), views, "pictures", t_pose_apart=True)
+    views = [view for view in views if not is_t_pose(view)]
+    images = score_images(PictureJudge(truth, drawer.draw, perceive), views, "pictures")
     if not geometry:
-        return {"novel_pose": regions_of({}, images.scored), "geometry": "as ours"}
+        return {"novel_pose": regions_of({}, images), "geometry": "as ours"}
     surfaces = JudgedSurfaces(seen_case(drawer, truth, drawer.surface))
-    distances = measure_poses(surfaces, same_poses([view for view in views if not is_t_pose(view)]), "surfaces")
-    return {"novel_pose": regions_of(distances["ours"], images.scored)}
+    return {"novel_pose": regions_of(measure_poses(surfaces, same_poses(views), "surfaces")["ours"], images)}
 
 
 def main(argv: list[str] | None = None) -> int:

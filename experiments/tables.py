@@ -7,17 +7,18 @@ kept as one JSON and one picture in OUT/CAPTURE/seedN. What is finished is not d
 OUT/tables.md are written from all rows in OUT, whatever call made them.
 """
 
-import argparse
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from capture.folder import read_capture_facts
+from command.command_line import Help, Option, parse
 from command.errors import AssetError
+from command.settings import AtLeast, OneOf
 from command.stages import command
-from experiments.program import end_with, note
+from experiments.program import distinct, end_with, note, written
 from experiments.short_training import begun
 from experiments.table_page import page
 from experiments.table_row import FORMAT, PARTS_TRAINING, ROWS, SINGLE, Row, Training, finished, stamp
@@ -25,39 +26,41 @@ from files.input_file import read_json_object
 from files.whole import write_json, write_text
 from train.preset import PRESETS
 
-SAME = (
-    "subject",
-    "light",
-    "sheen",
-    "pose_noise_deg",
-    "seed",
-    "size",
-    "frames",
-)  # facts that a run must share
+# facts that a run must share
+SAME = ("subject", "light", "sheen", "pose_noise_deg", "seed", "size", "frames")
 
 
 @dataclass(frozen=True)
 class Options:
-    """What the command was asked for."""
+    """What the command is asked for."""
 
-    out: Path
-    captures: tuple[Path, ...]
+    out: Annotated[Path, Option(positional=True, metavar="OUT"), "gets tables.md, tables.json and a folder a person"]
+    captures: Annotated[tuple[Path, ...], Option(metavar="CAP", several=True)]
     # trained runs: CAPTURE, CAPTURE_single, CAPTURE_light_off, with _seedN for seeds other than 0
-    runs: Path
-    rows: tuple[str, ...]
-    seeds: tuple[int, ...]
-    poses: int  # of every row
-    # of the whole evaluation of ours; None: all
-    our_poses: int | None
-    preset: str
-    iterations: int | None  # instead of the preset's
-    lpips: tuple[Path, ...]
-    jobs: int  # rows measured at once
+    runs: Annotated[Path | None, Option(metavar="DIR"), "runs to reuse, by name (default: OUT/runs)"] = None
+    rows: Annotated[tuple[str, ...], OneOf(tuple(ROWS)), Option(metavar="ROW", several=True)] = tuple(ROWS)
+    seeds: Annotated[tuple[int, ...], Option(several=True), "of the training"] = (0,)
+    poses: Annotated[int, AtLeast(1), "novel poses of each row"] = 5
+    our_poses: Annotated[int | None, AtLeast(1), "of the evaluation of ours (default: all)"] = None
+    preset: Annotated[str, OneOf(tuple(sorted(PRESETS)))] = "demo"
+    iterations: Annotated[int | None, AtLeast(1), "steps a part, instead of the preset's"] = None
+    lpips: Annotated[tuple[Path, ...], Option(metavar="FILE", several=True), "as in `selfscan eval`"] = ()
+    jobs: Annotated[int, AtLeast(1), "rows measured at once"] = 1
+
+    def __post_init__(self):
+        distinct([capture.resolve().name for capture in self.captures], "captures")
+
+
+ABOUT = Help(
+    "python -m experiments.tables",
+    "The paper's tables on people: ours, ablations, and the paper's numbers beside them.",
+    "example: python -m experiments.tables out/tables --captures out/white_m out/asian_f --runs out/runs",
+)
 
 
 def run_of(options: Options, capture: Path, seed: int, training: Training) -> Path:
     name = capture.name + training.suffix + (f"_seed{seed}" if seed else "")
-    return options.runs / name
+    return (options.runs or options.out / "runs") / name
 
 
 def train(options: Options, capture: Path, seed: int, training: Training) -> Callable[[], int]:
@@ -117,7 +120,7 @@ def ensure_trained(options: Options, capture: Path, seed: int, training: Trainin
 def person(options: Options, capture: Path, seed: int) -> list[str]:
     """All rows of one person and seed; what could not be measured, in words."""
     label = f"{capture.name}, seed {seed}"
-    rows = [ROWS[name] for name in options.rows]
+    rows = [row for name, row in ROWS.items() if name in options.rows]
     trained = {}
     for training in dict.fromkeys(row.training for row in rows):
         trained[training] = ensure_trained(options, capture, seed, training)
@@ -168,52 +171,11 @@ def tables(options: Options) -> list[str]:
     return absent
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.tables",
-        description="The paper's tables on people: ours, ablations, and the paper's numbers beside them.",
-        epilog="example: python -m experiments.tables out/tables --captures out/white_m out/asian_f --runs out/runs",
-    )
-    parser.add_argument("out", metavar="OUT", type=Path, help="gets tables.md, tables.json and a folder a person")
-    parser.add_argument("--captures", metavar="CAP", type=Path, nargs="+", required=True)
-    parser.add_argument("--runs", metavar="DIR", type=Path, help="runs to reuse, by name (default: OUT/runs)")
-    parser.add_argument("--rows", metavar="ROW", nargs="+", choices=ROWS, default=list(ROWS),
-                        help=f"default: all of {', '.join(ROWS)}")  # fmt: skip
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of the training (default: 0)")
-    parser.add_argument("--poses", type=int, default=5, help="novel poses of each row (default: 5)")
-    parser.add_argument("--our-poses", type=int, metavar="N", help="of the evaluation of ours (default: all)")
-    parser.add_argument("--preset", choices=sorted(PRESETS), default="demo")
-    parser.add_argument("--iterations", type=int, metavar="N", help="steps a part, instead of the preset's")
-    parser.add_argument("--lpips", metavar="FILE", type=Path, nargs="+", default=[], help="as in `selfscan eval`")
-    parser.add_argument("--jobs", type=int, default=1, help="rows measured at once (default: 1)")
-    given = parser.parse_args(argv)
-    for name in ("poses", "our_poses", "iterations", "jobs"):
-        value = getattr(given, name)
-        if value is not None and value < 1:
-            parser.error(f"--{name.replace('_', '-')} should be at least 1, is {value}")
-    names = [capture.resolve().name for capture in given.captures]
-    if len(set(names)) < len(names):
-        parser.error(f"captures are told apart by their folders' names, which are {', '.join(names)}")
-    options = Options(
-        given.out,
-        tuple(given.captures),
-        given.runs or given.out / "runs",
-        tuple(name for name in ROWS if name in given.rows),
-        tuple(given.seeds),
-        given.poses,
-        given.our_poses,
-        given.preset,
-        given.iterations,
-        tuple(given.lpips),
-        given.jobs,
-    )
-    for folder in (options.out, options.runs):
+def main(argv: Sequence[str]) -> int:
+    options = parse(Options, argv, ABOUT)
+    for folder in (options.out, options.runs or options.out / "runs"):
         folder.mkdir(parents=True, exist_ok=True)
-    absent = tables(options)
-    for text in absent:
-        note(f"not measured: {text}")
-    print(options.out / "tables.md")
-    return 1 if absent else 0
+    return written(options.out / "tables.md", tables(options))
 
 
 if __name__ == "__main__":

@@ -57,8 +57,7 @@ def main(argv: list[str] | None = None) -> int:
     if options.out:
         write_avatar(options.out, new)
     truth = options.truth or options.capture
-    context = open_context()
-    try:
+    with open_context() as context:
         for name in SETS:
             views = some_poses(read_held_out(truth, name), options.poses)
             scores = {
@@ -71,8 +70,6 @@ def main(argv: list[str] | None = None) -> int:
         found["print"] = {
             label: print_bands(context, one, truth)._asdict() for label, one in (("field", avatar), ("videos", new))
         }
-    finally:
-        context.release()
     print(json.dumps(found, indent=1))
     return 0
 

@@ -34,11 +34,8 @@ TIE_DB = 0.005
 
 def view_modes(avatar: Avatar, held_out: dict[str, list[HeldOutView]]) -> Json:
     """Every view mode of the file side by side: PSNR inside the true person, by set and region, and which is best."""
-    context = open_context()
-    try:
+    with open_context() as context:
         scores = scores_by_mode(context, avatar, held_out)
-    finally:
-        context.release()
     best, reason = better_mode(scores["all"])
     return {"psnr_db": scores, "best": best, "reason": reason, "default": avatar.default_view,
             "file_says": baked_facts(avatar).get("default_view"),

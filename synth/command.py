@@ -1,7 +1,5 @@
 """`selfscan synth`: the four self-scan videos of a person whose mesh is known, and the truth to measure against."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +24,8 @@ from synth.options import RawConfig, SynthConfig
 from synth.people.body import built_in
 from synth.people.person import person
 from synth.photo import Studio
-from synth.raw.film import FILES, film_raw, mistakes_of, write_truth
+from synth.raw.film import FILES, MASK_STEP, film_raw, mistakes_of
+from synth.raw.film import RATE as RAW_RATE
 from synth.subject import SynthSubject, read_subject
 from synth.template import RegisteredTemplate, register, shape_only
 from synth.truth import DetectorOf, novel_poses, novel_views, take_set, write_photo, write_rest
@@ -46,7 +45,8 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
     assert config.size is not None and config.light is not None
     check_folder(out)
     person = _person(subject)
-    with _rasteriser() as rasteriser:
+    with open_context() as context:
+        rasteriser = Rasteriser(context)
         studio = Studio(rasteriser, person)
         videos = plan_videos(studio, config.frames, config.size)
         visible = visible_faces(rasteriser, person.vertices, person.faces)
@@ -87,14 +87,17 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
     person = _person(subject)
     facts = {"subject": person.name, "subject_licence": person.licence, **settings_json(config), **settings_json(raw)}
     lights = {part: light_of(config.light, part, config.seed) for part in PARTS}
-    with _rasteriser() as rasteriser, whole_folder(out) as folder:
+    with open_context() as context, whole_folder(out) as folder:
+        rasteriser = Rasteriser(context)
         plan = film_raw(folder, Studio(rasteriser, person, 2), lights, config.size, raw, config.seed)
         if config.truth:
             write_rest(folder / "truth", person, visible_faces(rasteriser, person.vertices, person.faces))
             if raw.held_out:
                 looks = DetectorOf(mistakes_of(raw), config.seed) if raw.keypoints else None
                 _take_held_out(folder / "truth", Studio(rasteriser, person), config, looks)
-        write_truth(folder, plan, facts)
+        frames = {part: len(shots.root) for part, shots in plan.items()}
+        said = {"format": "selfscan-raw-truth", "rate": RAW_RATE, "mask_step": MASK_STEP, **facts, "frames": frames}
+        write_json(folder / "truth" / "raw.json", said)
     for part, shots in plan.items():
         width, height = shots.camera.size
         print(f"{FILES[part]}: {plural(len(shots.root), 'frame')} of {width} x {height} px")
@@ -105,17 +108,6 @@ def _person(name: str) -> SynthSubject:
     person = cut_out(load_subject(name))
     print(f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}")
     return person
-
-
-@contextmanager
-def _rasteriser() -> Iterator[Rasteriser]:
-    context = open_context()
-    rasteriser = Rasteriser(context)
-    try:
-        yield rasteriser
-    finally:
-        rasteriser.release()
-        context.release()
 
 
 def load_subject(name: str) -> SynthSubject:
@@ -138,12 +130,8 @@ def _facts(person: SynthSubject, template: RegisteredTemplate, config: SynthConf
         "subject": person.name,
         "units": "metres",
         "parts": list(PARTS),
-        "light": config.light,
-        "sheen": config.sheen,
+        **{name: vars(config)[name] for name in ("light", "sheen", "seed", "size", "frames")},
         "pose_noise_deg": config.pose_noise,
-        "seed": config.seed,
-        "size": config.size,
-        "frames": config.frames,
         "input": "given" if config.template == "registered" else "shape_only",
         "body": template.body,
         "body_licence": template.mesh.licence,

@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 
 from avatar.camera import Camera, look_at
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND, joint_transforms
+from avatar.skeleton import JOINTS, PARTS, joint_transforms
 from files.whole import whole_file
 from synth.photo import Studio
 from synth.subject import SynthSubject
@@ -113,16 +113,13 @@ def head_nod(turn: float) -> float:
 def relaxed_fingers() -> Float[Array, "52 3"]:
     """A hand as one holds it up to look at: fingers a little spread and a little bent, thumb off the palm."""
     pose = np.zeros((52, 3))
-    for side, hand in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
-        sign = 1 if side == "left" else -1
-        spread = {"index": -6, "middle": -1, "ring": 5, "pinky": 11, "thumb": -8}
-        for k in range(hand.start, hand.stop):
-            name = JOINTS[k].removeprefix(f"{side}_")
-            finger, phalanx = name[:-1], int(name[-1])
-            first = phalanx == 1
-            # +x runs along the left fingers and against the right ones: bends and spreads change sign with it
-            bend = 0.0 if finger == "thumb" else (-6.0, -9.0, -6.0)[phalanx - 1]
-            pose[k] = np.radians([0, sign * (spread[finger] if first else 0), sign * bend])
+    # +x runs along the left fingers and against the right ones: bends and spreads change sign with it
+    for side, sign in (("left", 1), ("right", -1)):
+        for finger, spread in {"index": -6, "middle": -1, "ring": 5, "pinky": 11, "thumb": -8}.items():
+            first = JOINTS.index(f"{side}_{finger}1")
+            pose[first, 1] = sign * np.radians(spread)
+            if finger != "thumb":
+                pose[first : first + 3, 2] = sign * np.radians([-6.0, -9.0, -6.0])
     return pose
 
 

@@ -29,13 +29,6 @@ class Photo(NamedTuple):
     parts: UInt8[Array, "height width"]  # 1 + part (index in PARTS) that covers most of the pixel, 0 outside the mask
 
 
-class ExposedPicture(NamedTuple):
-    """A picture to lay over another one: color + (1 - coverage) * what lies behind."""
-
-    color: Float[Array, "height width 3"]  # sRGB 0 to 255, times coverage
-    coverage: Float[Array, "height width"]  # share of the pixel that shows the person
-
-
 class Studio:
     """A subject before the camera: what does not change from picture to picture is prepared once."""
 
@@ -64,12 +57,12 @@ class Studio:
 
     def expose(
         self, vertices: Float[Array, "vertices 3"], camera: Camera, light: FilmLight, lit: VertexLight | None = None
-    ) -> ExposedPicture:
-        """A picture to lay over another one; `lit`: light in a room that was found before."""
+    ) -> tuple[Float[Array, "height width 3"], Float[Array, "height width"]]:
+        """A picture to lay over another one, color + (1 - coverage) * what lies behind: color, sRGB 0 to 255, times
+        coverage, and coverage, the share of the pixel that shows the person. `lit`: light in a room, found before."""
         n = self.supersample
         samples, hit, _ = self._samples(vertices, camera, light, 0.0, lit)
-        coverage = block_sum(hit.astype(np.float32), n) / n**2
-        return ExposedPicture(block_sum(samples, n) / n**2, coverage)
+        return block_sum(samples, n) / n**2, block_sum(hit.astype(np.float32), n) / n**2
 
     def _samples(
         self,

@@ -1,7 +1,6 @@
 """What a capture is measured against: the subject's own mesh, and pictures in poses and from views never filmed."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ from avatar.motion.read import builtin_motion
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND
 from files.whole import whole_file
+from player.draw.drawing import BarePose
 from synth.face_places import face_places
 from synth.film import FINEST_PIXEL, frame_points, rotation
 from synth.light import FilmLight
@@ -66,39 +66,30 @@ _STANCES: dict[str, dict[str, tuple[int, int, int]]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Stand:
-    axis_angle: Float[np.ndarray, "52 3"]
-    root: Float[np.ndarray, "3"]
-
-
-def novel_poses(seed: int) -> list[Stand]:
+def novel_poses(seed: int) -> list[BarePose]:
     """Twenty poses that were not filmed: eight of our two motions, twelve stances with seeded hands and heading."""
-    stands = []
+    stands: list[BarePose] = []
     for name, count in (("counting", 4), ("walking", 4)):
         motion = builtin_motion(name)
         for frame in np.linspace(0.1, 0.95, count) * (motion.frames - 1):
             clip = motion.read(int(frame), int(frame) + 1)
-            stands.append(Stand(clip.axis_angle[0], np.zeros(3)))
+            stands.append((clip.axis_angle[0], np.zeros(3)))
     for i, stance in enumerate(_STANCES.values()):
         rng = np.random.default_rng([seed, 21, i])
         pose = _stance(stance) + _hands(rng)
         pose[JOINTS.index("head")] += np.radians(rng.uniform(-15, 15, 3))
         pose[0] = axis_angle_from_matrix(rotation(y=rng.uniform(-60, 60)))
-        stands.append(Stand(pose, np.zeros(3)))
+        stands.append((pose, np.zeros(3)))
     return stands
 
 
-def novel_views(seed: int) -> list[Stand]:
+def novel_views(seed: int) -> list[BarePose]:
     """The T-pose, ten times, at headings half-way between the filmed ones."""
     rng = np.random.default_rng([seed, 22])
     headings = (np.arange(10) + rng.uniform(0.1, 0.9, 10)) * 36
-    stands = []
-    for heading in headings:
-        pose = np.zeros((len(JOINTS), 3))
-        pose[0] = axis_angle_from_matrix(rotation(y=heading))
-        stands.append(Stand(pose, np.zeros(3)))
-    return stands
+    poses = np.zeros((len(headings), len(JOINTS), 3))
+    poses[:, 0] = [axis_angle_from_matrix(rotation(y=heading)) for heading in headings]
+    return [(pose, np.zeros(3)) for pose in poses]
 
 
 def _stance(angles: dict[str, tuple[int, int, int]]) -> Float[np.ndarray, "52 3"]:
@@ -181,7 +172,7 @@ class DetectorOf(NamedTuple):
 
 def take_set(
     studio: Studio,
-    stands: list[Stand],
+    stands: list[BarePose],
     folder: Path,
     light: FilmLight,
     sheen: float,
@@ -195,9 +186,9 @@ def take_set(
     for kind in ("images", "masks", "parts", *(() if looks is None else ("keypoints",))):
         (folder / kind).mkdir(parents=True)
     rows: list[tuple[int, str, Camera]] = []
-    for i, stand in enumerate(stands):
-        vertices = studio.posed(stand.axis_angle, stand.root)
-        turn = matrix_from_axis_angle(stand.axis_angle)
+    for i, (axis_angle, root) in enumerate(stands):
+        vertices = studio.posed(axis_angle, root)
+        turn = matrix_from_axis_angle(axis_angle)
         head = turn[0] @ turn[JOINTS.index("spine1")] @ turn[JOINTS.index("spine2")] @ turn[JOINTS.index("spine3")]
         head = head @ turn[JOINTS.index("neck")] @ turn[JOINTS.index("head")]
         for view, camera in view_cameras(studio, vertices, seed + 1000 * (i + 1), head).items():
@@ -207,16 +198,16 @@ def take_set(
             if looks is not None:
                 seeds = [looks.seed, seed, len(rows)]
                 detector = Detector(studio.subject, studio.rasteriser, camera, looks.mistakes, seeds)
-                found = detector.look(stand.axis_angle, stand.root, vertices)
+                found = detector.look(axis_angle, root, vertices)
                 detector.write(folder / "keypoints" / f"{name}.json", found)
             rows.append((i, view, camera))
             yield name
-    pose, view, cameras = zip(*rows)
+    number, view, cameras = zip(*rows)
     with whole_file(folder / "views.npz") as file:
         np.savez(
-            file, pose=np.array(pose), view=np.array(view), K=np.stack([camera.K for camera in cameras]),
+            file, pose=np.array(number), view=np.array(view), K=np.stack([camera.K for camera in cameras]),
             camera_from_world=np.stack([camera.camera_from_world for camera in cameras]), size=np.array([SIZE, SIZE]),
-            poses=np.stack([stand.axis_angle for stand in stands]), root=np.stack([stand.root for stand in stands]),
+            poses=np.stack([pose for pose, _ in stands]), root=np.stack([root for _, root in stands]),
         )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from synth.light import light_of
 from synth.photo import Studio
 from synth.raw.detector import Mistakes
 from synth.subject import SynthSubject
-from synth.truth import DetectorOf, Stand, take_set, write_rest
+from synth.truth import DetectorOf, take_set, write_rest
 from synth.visibility import visible_faces
 
 
@@ -127,8 +127,8 @@ def film_oracle(folder):
     turned[0] = 0, 0.7, 0
     light = light_of("even", "body", 0)
     write_rest(capture / "truth", subject, visible_faces(raster, subject.vertices, subject.faces))
-    poses = [Stand(bent, np.array([0.1, 0.9, 0.0])), Stand(np.zeros((52, 3)), np.zeros(3))]
-    sets = {"novel_pose": poses, "novel_view": [Stand(turned, np.zeros(3))]}
+    poses = [(bent, np.array([0.1, 0.9, 0.0])), (np.zeros((52, 3)), np.zeros(3))]
+    sets = {"novel_pose": poses, "novel_view": [(turned, np.zeros(3))]}
     for name, stands in sets.items():
         looks = DetectorOf(Mistakes(2.0, 0.0, clumsy=False), 0)
         list(take_set(studio, stands, capture / "truth" / name, light, 0.0, seed=1, looks=looks))

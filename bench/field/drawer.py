@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from avatar.camera import Camera
-from avatar.gltf.avatar_file import Avatar, Level, read_avatar
+from avatar.gltf.avatar_file import Avatar, read_avatar
 from bench.field.posed_field import Directions, MaskedPicture, PosableSurface, PosedField, averaged
 from bench.score.metrics import rectangle
 from player.draw.raster import Rasteriser
@@ -16,17 +16,6 @@ from player.gl.context import open_context
 from player.scene.effects import PLAIN
 from player.scene.renderer import Renderer
 from train.run import Run, read_run
-
-
-def level_surface(avatar: Avatar, level: Level) -> PosableSurface:
-    return PosableSurface(
-        level.positions.astype(np.float64),
-        level.faces.astype(np.int64),
-        level.skin,
-        np.asarray(avatar.joint_positions, np.float64),
-        np.asarray(avatar.canonical_pose, np.float64),
-    )
-
 
 # paper mode, in the light of the videos where the file keeps it apart from the albedo: so the truth was taken
 FILMED = replace(PLAIN, view="off", light=Light())
@@ -47,8 +36,10 @@ class Drawer:
             self.surface = self.field.surface
         else:
             self.avatar = read_avatar(self.path)
-            self.provenance = self.avatar.provenance
-            self.surface = level_surface(self.avatar, self.avatar.levels[0])
+            self.provenance, level = self.avatar.provenance, self.avatar.levels[0]
+            held = level.positions, self.avatar.joint_positions, self.avatar.canonical_pose
+            positions, joints, pose = (np.asarray(a, np.float64) for a in held)
+            self.surface = PosableSurface(positions, level.faces.astype(np.int64), level.skin, joints, pose)
         self.context = open_context()
         self.raster = Rasteriser(self.context)
         self.renderers: dict[tuple[int, int], Renderer] = {}
@@ -84,7 +75,4 @@ class Drawer:
         return averaged(pixels[..., :3], pixels[..., 3] > 0.5, samples)
 
     def release(self) -> None:
-        for renderer in self.renderers.values():
-            renderer.release()
-        self.raster.release()
         self.context.release()

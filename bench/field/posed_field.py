@@ -1,7 +1,5 @@
-"""The trained field of a run, drawn under posed cameras: its fine surface on the zero set, answered for by torch.
-
-The surface is posed and rasterised, and each pixel's canonical point is asked for its color there, at one of three
-view directions (Directions, below). bench/field/rungs.py draws the same by volume rendering.
+"""The trained field of a run under posed cameras: its fine surface is posed and rasterised, and each pixel's canonical
+point asked for its color at one of three view directions. bench/field/rungs.py draws the same by volume rendering.
 """
 
 from collections.abc import Callable
@@ -78,8 +76,6 @@ class PosedField:
             np.asarray(a, np.float64) for a in (s.view_count, s.view_mean, s.view_covariance, s.normals)
         )
         self.cone = view_cone(count, mean, covariance, normals, self.surface.faces)
-        # several pictures show one pose
-        self.last_pose: tuple[bytes, Array] = (b"", np.zeros((0, 3)))
 
     def distance(self, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
         """Signed distance of canonical points, metres."""
@@ -88,13 +84,6 @@ class PosedField:
     def color(self, points: Float[Array, "n 3"], directions: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Color of canonical points on the surface at given unit directions, [0, 1] sRGB."""
         return in_pieces(self.field.color, points, directions).clip(0, 1)
-
-    def posed(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"]) -> Float[Array, "vertices 3"]:
-        """Posed vertices of its own surface; the last pose is kept."""
-        key = np.concatenate([np.ravel(axis_angle), root]).tobytes()
-        if self.last_pose[0] != key:
-            self.last_pose = key, self.surface.posed(axis_angle, root)
-        return self.last_pose[1]
 
     def shown(
         self,
@@ -130,7 +119,7 @@ class PosedField:
     ) -> MaskedPicture:
         """One picture on black, silhouettes smoothed by `samples` squared a pixel; colors outside `where` stay black.
         Where the run has a light, it is lit as the body's video was."""
-        surface, posed = self.surface, self.posed(axis_angle, root)
+        surface, posed = self.surface, self.surface.posed(axis_angle, root)
         faces = faces_in_picture(posed, surface.faces, camera)
         fragments = raster.draw(posed, faces, camera, (samples * camera.size[0], samples * camera.size[1]))
         cover = fragments.face >= 0
@@ -160,19 +149,19 @@ def in_pieces(function: Callable[..., torch.Tensor], *arrays: Float[Array, "n 3"
 
 def on_zero_set(field: FusedField, points: Float[Array, "n 3"], steps: int = 2) -> Float[Array, "n 3"]:
     """Points near the surface moved along the gradient onto the zero set: Newton steps, each at most FARTHEST."""
-    moved = torch.as_tensor(points, dtype=torch.float32).clone()
-    with torch.no_grad():
-        for start in range(0, len(moved), CHUNK):
-            part = moved[start : start + CHUNK]
-            for _ in range(steps):
-                distance = field.distance(part)
-                # what lies farther off is no surface of the field's but where layers were divided (layers.py)
-                off = (distance.abs() > CLOSE) & (distance.abs() < 3 * FARTHEST)
-                if not bool(off.any()):
-                    break
-                step = distance[off].clamp(-FARTHEST, FARTHEST)[:, None] * field.normal(part[off])
-                part[off] = part[off] - step
-    return moved.numpy().astype(np.float64)
+
+    def moved(part: torch.Tensor) -> torch.Tensor:
+        for _ in range(steps):
+            distance = field.distance(part)
+            # what lies farther off is no surface of the field's but where layers were divided (layers.py)
+            off = (distance.abs() > CLOSE) & (distance.abs() < 3 * FARTHEST)
+            if not bool(off.any()):
+                break
+            step = distance[off].clamp(-FARTHEST, FARTHEST)[:, None] * field.normal(part[off])
+            part = part.index_put((off,), part[off] - step)
+        return part
+
+    return in_pieces(moved, points).astype(np.float64)
 
 
 def faces_in_picture(

@@ -10,17 +10,16 @@ import time
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
 
 from avatar.camera import Camera, pixel_rays
 from avatar.skinning import blended_rotations, blended_transforms
 from bake.cone import interpolated
 from bench.field.posed_field import MaskedPicture, PosedField, faces_in_picture
-from bench.ladder.rung_pictures import ComparedFrame
+from bench.ladder.rung_pictures import ComparedFrame, MeasuredRung
+from bench.ladder.rung_scores import row_of
 from command.progress import progress
 from player.draw.drawing import BarePose
 from player.draw.raster import Rasteriser
@@ -40,17 +39,8 @@ LEAST = 2e-3
 CHUNK = 8192
 
 
-class DrawnRung(NamedTuple):
-    """One rung's frames: milliseconds of each, bytes of the field, pictures."""
-
-    name: str
-    ms: Float[np.ndarray, "rounds"]
-    bytes: int
-    pictures: list[Float[np.ndarray, "height width 3"]]
-
-
-def field_rungs(context: Context, path: Path, frames: Sequence[ComparedFrame]) -> list[DrawnRung]:
-    """The field of the run folder `path`, drawn in each way.
+def field_rungs(context: Context, path: Path, frames: Sequence[ComparedFrame], baked_ms: float) -> list[MeasuredRung]:
+    """The field of the run folder `path`, drawn in each way, the slowest first; `baked_ms`: what the player takes.
 
     Raises:
         AssetError: not a run folder, or a file in it is unusable.
@@ -58,7 +48,7 @@ def field_rungs(context: Context, path: Path, frames: Sequence[ComparedFrame]) -
     run = read_run(path)
     field, beta = PosedField(run), run.preset.parts[0].beta[1]
     size = sum(tensor.nbytes for tensor in chain(run.field.parameters(), run.field.buffers()))
-    raster, drawn_rungs = Rasteriser(context), []
+    raster, rungs = Rasteriser(context), []
     try:
         for name, sections in FIELD_RUNGS.items():
             ms, drawn = [], []
@@ -73,18 +63,18 @@ def field_rungs(context: Context, path: Path, frames: Sequence[ComparedFrame]) -
                 ms.append(1e3 * (time.perf_counter() - start))
                 if number < len(frames):
                     drawn.append(picture.color)
-            drawn_rungs.append(DrawnRung(name, np.array(ms), size, drawn))
+            row = row_of(name, np.array(ms), size) | {"times_faster": round(float(baked_ms / np.median(ms)), 5)}
+            rungs.insert(0, MeasuredRung(row, None, drawn))
     finally:
         raster.release()
-    return drawn_rungs
+    return rungs
 
 
 def draw_volume(
     field: PosedField, raster: Rasteriser, pose: BarePose, camera: Camera, *, beta: float, sections: int
 ) -> MaskedPicture:
     """One picture on black, colors inside the cone that training saw. `beta` is the surface's width, metres."""
-    surface = field.surface
-    posed = field.posed(*pose)
+    surface, posed = field.surface, field.surface.posed(*pose)
     faces = faces_in_picture(posed, surface.faces, camera)
     fragments = raster.draw(posed, faces, camera)
     rows, columns = np.nonzero(fragments.face >= 0)

@@ -8,10 +8,10 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Level
 from bake.promises import baked_facts, recorded_loss
-from bench.inspect import mesh_facts
 from bench.inspect.colors import DIVERGING, Ramp
 from bench.inspect.inspection import Inspector
 from bench.inspect.page import PageSection, flattened, picture
+from geometry.mesh import face_areas
 
 FIELD_MEAN = 0.5  # millimetres
 MOST_BYTES = 12e6
@@ -23,7 +23,8 @@ def field_distance(inspector: Inspector) -> PageSection | None:
     """Mesh against the field of the run."""
     if inspector.from_field is None:
         return None
-    signed, area = inspector.from_field, mesh_facts.areas(inspector.level)
+    signed, level = inspector.from_field, inspector.level
+    area = face_areas(level.positions, level.faces)
     mean = float((np.abs(signed) * area).sum() / area.sum())
     inspector.facts["field_to_mesh_mm"] = {"mean_of_worst": mean, "max": float(np.abs(signed).max())}
     what = "triangles from the field's surface, mean of each one's farthest of four points"

@@ -1,6 +1,5 @@
 """`selfscan inspect NAME.glb -o DIR`: the pictures, the page and the numbers of one avatar."""
 
-import json
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
@@ -11,10 +10,10 @@ from bench.inspect import drawn_sections as drawn
 from bench.inspect import surface_sections as surface
 from bench.inspect.inspection import Inspector
 from bench.inspect.options import InspectCommand
-from bench.inspect.page import SECTIONS, PageSection, page
+from bench.inspect.page import PageSection, page
 from command.errors import missing_package
 from command.progress import plural, progress
-from files.whole import whole_folder
+from files.whole import whole_folder, write_json
 from player.gl.context import open_context
 
 
@@ -40,20 +39,17 @@ def inspect(options: InspectCommand) -> Inspector:
             # VTK makes contexts of its own: ours draws before, and is gone then
             context.release,
             *(partial(topic, inspector) for topic in (
-                surface.weights, surface.parts, surface.seams, surface.cones, surface.triangles,
+                surface.parts, surface.weights, surface.seams, surface.cones, surface.triangles,
                 accuracy.field_distance, accuracy.provenance,
             )),
         ]  # fmt: skip
-        found: dict[str, PageSection] = {}
         for topic in progress(topics, "topics", len(topics)):
             made = topic()
-            found |= {s.key: s for s in (made if isinstance(made, list) else [made]) if s is not None}
-        inspector.sections += [found[key] for key in SECTIONS if key in found]
+            inspector.sections += [s for s in (made if isinstance(made, list) else [made]) if s is not None]
         for picture in (picture for section in inspector.sections for picture in section.pictures):
             (folder / f"{picture.name}.png").write_bytes(picture.data)
         lines = [f"{path.name}, {plural(len(avatar.levels), 'level')}, view dependence: {avatar.default_view}"]
         lines += [] if run is None else [f"run: {run.name}"]
         (folder / "inspect.html").write_text(page(avatar.name, lines, inspector.checks, inspector.sections), "utf-8")
-        facts = inspector.facts | {"checks": [vars(check) for check in inspector.checks]}
-        (folder / "inspect.json").write_text(json.dumps(facts, indent=1, allow_nan=False), "utf-8")
+        write_json(folder / "inspect.json", inspector.facts | {"checks": [vars(check) for check in inspector.checks]})
     return inspector

@@ -1,16 +1,15 @@
 """Sections that our own renderer draws: the avatar as it looks, standing, in strained poses."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import UInt8
 
 from avatar.baked_avatar import Avatar
+from avatar.camera import Camera
 from avatar.motion.clip import Clip
 from avatar.skeleton import JOINTS
 from bench.inspect.inspection import Inspector
 from bench.inspect.page import PageSection, picture
-from bench.inspect.views import InspectView, face_views, strip
+from bench.inspect.views import face_views, strip
 from player.draw.drawing import BarePose
 from player.scene.framing import extent, facing, fitted_camera
 from player.scene.motions import motion_for
@@ -84,14 +83,14 @@ def strained_poses(avatar: Avatar) -> dict[str, BarePose]:
     }  # fmt: skip
 
 
-def standing(inspector: Inspector, views: Sequence[InspectView], mode: str) -> list[UInt8[np.ndarray, "_ _ 3"]]:
+def standing(inspector: Inspector, views: dict[str, Camera], mode: str) -> list[UInt8[np.ndarray, "_ _ 3"]]:
     """These views in the canonical pose, in one view mode."""
     avatar, pictures = inspector.avatar, {}
     pose = np.asarray(avatar.canonical_pose, np.float64), np.asarray(avatar.joint_positions[0], np.float64)
-    for size in {view.camera.size for view in views}:
+    for size in {camera.size for camera in views.values()}:
         renderer = Renderer(inspector.context, [avatar], size, view=mode, background=BACKGROUND)
-        for view in views:
-            if view.camera.size == size:
-                pictures[view.name] = renderer.draw([pose], view.camera)[..., :3]
+        for name, camera in views.items():
+            if camera.size == size:
+                pictures[name] = renderer.draw([pose], camera)[..., :3]
         renderer.release()
-    return [pictures[view.name] for view in views]
+    return [pictures[name] for name in views]

@@ -14,8 +14,9 @@ from jaxtyping import Float, Int, Real, UInt8
 from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar, Level
+from avatar.camera import Camera
 from bench.inspect.page import Check, PageSection
-from bench.inspect.views import InspectView, standard_views, strip
+from bench.inspect.views import DISTANCE, standard_views, strip
 from bench.report.writer import Json
 from player.gl.context import Context
 
@@ -36,15 +37,15 @@ class ColoredLines(NamedTuple):
 class MeshPlotter:
     """Draws meshes from the standard views; `kind` is how our own OpenGL context was reached."""
 
-    def __init__(self, views: list[InspectView], kind: str):
+    def __init__(self, cameras: list[Camera], kind: str):
         if sys.platform == "linux" and kind in WINDOWS:
             os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", WINDOWS[kind])
         # VTK reads the variable as it is imported
         import pyvista
 
-        self.pyvista, self.views = pyvista, views
+        self.pyvista, self.cameras = pyvista, cameras
         self.plotters = {}
-        for size in {view.camera.size for view in views}:
+        for size in {camera.size for camera in cameras}:
             plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="none")
             plotter.renderer.SetBackground(*(c / 255 for c in BACKGROUND))
             plotter.add_light(pyvista.Light(light_type="headlight", intensity=1.0))
@@ -73,14 +74,14 @@ class MeshPlotter:
             plotter.add_mesh(mesh, show_edges=wire and size[0] == near, edge_color="#404040", line_width=1, **shading)
             if edges is not None:
                 plotter.add_mesh(edges, scalars="rgb", rgb=True, line_width=3, lighting=False)
-        return strip([self._from(view) for view in self.views])
+        return strip([self._from(camera) for camera in self.cameras])
 
-    def _from(self, view: InspectView) -> UInt8[Array, "height width 3"]:
-        plotter = self.plotters[view.camera.size]
-        camera = plotter.camera
-        camera.position, camera.focal_point, camera.up = view.camera.eye, view.target, (0.0, 1.0, 0.0)
-        camera.view_angle = float(np.degrees(2 * np.arctan(0.5 * view.camera.size[1] / view.camera.K[1, 1])))
-        camera.clipping_range = (0.5, 12.0)
+    def _from(self, camera: Camera) -> UInt8[Array, "height width 3"]:
+        plotter = self.plotters[camera.size]
+        own, target = plotter.camera, camera.eye + DISTANCE * camera.camera_from_world[2, :3]
+        own.position, own.focal_point, own.up = camera.eye, target, (0.0, 1.0, 0.0)
+        own.view_angle = float(np.degrees(2 * np.arctan(0.5 * camera.size[1] / camera.K[1, 1])))
+        own.clipping_range = (0.5, 12.0)
         plotter.render()
         return np.asarray(plotter.screenshot(return_img=True))[..., :3].copy()
 
@@ -99,6 +100,7 @@ class Inspector:
     ):
         self.avatar, self.path, self.context, self.from_field = avatar, path, context, from_field
         self.level, self.size = avatar.levels[0], size
+        self.grey = np.tile(np.array(GREY, np.float64), (len(self.level.positions), 1))
         self.views = standard_views(avatar, size)
         self.studio: MeshPlotter | None = None
         self.checks, self.sections = list[Check](), list[PageSection]()
@@ -107,7 +109,7 @@ class Inspector:
     def draw(self, colors: Real[Array, "n 3"], lines: ColoredLines | None = None, *, wire: bool = False) -> Array:
         """The finest level in these colors, 0 to 255, one a vertex or one a triangle."""
         if self.studio is None:
-            self.studio = MeshPlotter(self.views, self.context.kind)
+            self.studio = MeshPlotter(list(self.views.values()), self.context.kind)
         return self.studio.draw(self.level, np.round(colors).astype(np.uint8), lines, wire=wire)
 
     def check(self, what: str, value: str, expected: str, good: bool | None) -> None:

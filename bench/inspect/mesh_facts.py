@@ -35,10 +35,6 @@ class Closedness(NamedTuple):
     pieces: int
 
 
-def areas(level: Level) -> Float[np.ndarray, "faces"]:
-    return face_areas(level.positions, level.faces)
-
-
 def weld(level: Level) -> Int[np.ndarray, "vertices"]:
     """The surface before the atlas cut it: the number of each vertex's place and skin, equal where they are."""
     joints = np.where(level.weights > 0, level.joints, 0)
@@ -79,5 +75,5 @@ def cone_degrees(level: Level) -> Float[np.ndarray, "vertices 2"]:
 
 def share_of_area(level: Level, chosen: Bool[np.ndarray, "vertices"]) -> float:
     """Part of the surface that belongs to these vertices."""
-    area = areas(level)
+    area = face_areas(level.positions, level.faces)
     return float((area * chosen[level.faces].mean(1)).sum() / max(area.sum(), 1e-30))

@@ -11,17 +11,8 @@ from command.settings import AtLeast, AtMost, OneOf
 from files.whole import check_folder
 
 EXAMPLES = """DIR gets inspect.html, one page with everything in it (mail it, open it anywhere), the same
-pictures as files, and inspect.json with the numbers. It needs no display. What the page shows, and what to look for:
-
-  as drawn       six standard views, the paper's colors and with view dependence; strained poses
-  face           at 512 px, from three sides
-  parts          body, head and hands            weights      who moves what
-  seams          chart edges by the step of color across them
-  cones          how far color may follow the eye, and what no camera ever saw
-  triangles      their edges, holes              field        --run: mesh to field, mm
-  accuracy       what baking measured            provenance   where it comes from
-
-A table on top says which numbers are as they should be. The command judges nothing by its exit code.
+pictures as files, and inspect.json with the numbers. It needs no display. The page says what to look for, and
+a table on top which numbers are as they should be. The command judges nothing by its exit code.
 
 examples
   selfscan inspect me.glb -o out/inspect

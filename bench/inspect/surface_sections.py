@@ -7,7 +7,7 @@ from avatar.skinning import dense_weights
 from avatar.texture import mip_levels
 from bench.inspect import mesh_facts
 from bench.inspect.colors import ABSENT, PART_COLORS, Legend, Ramp, categorical, rgb
-from bench.inspect.inspection import GREY, ColoredLines, Inspector
+from bench.inspect.inspection import ColoredLines, Inspector
 from bench.inspect.mesh_facts import MIPS
 from bench.inspect.page import PageSection, picture
 from capture.read.template import part_of
@@ -59,8 +59,7 @@ def seams(inspector: Inspector) -> PageSection:
         inspector.check(what, f"median {median:.2f}, p99 {p99:.2f} of 255", expected, good and p99 <= SEAM_P99)
     pictures, shown = [], levels[0][1]
     for mip in (0, MIPS - 1):
-        grey = np.tile(np.array(GREY, np.float64), (len(inspector.level.positions), 1))
-        image = inspector.draw(grey, ColoredLines(shown.edges, SEAMS.colors(shown.steps[mip].max(0))))
+        image = inspector.draw(inspector.grey, ColoredLines(shown.edges, SEAMS.colors(shown.steps[mip].max(0))))
         near = "seen from near (mip 0)" if mip == 0 else f"seen from {2**mip} times as far (mip {mip})"
         pictures.append(picture(f"seams_mip{mip}", image, f"color step of the finest level, {near}"))
     return PageSection("seams", pictures, SEAMS.legend(), rows)
@@ -102,6 +101,5 @@ def triangles(inspector: Inspector) -> PageSection:
     shown = ", ".join(f"{open_edges} and {crowded}" for open_edges, crowded in holes)
     what = "open edges, and edges of more than two triangles, level by level"
     inspector.check(what, shown, "0 and 0", not np.any(holes))
-    grey = np.tile(np.array(GREY, np.float64), (len(inspector.level.positions), 1))
-    pictures = [picture("triangles", inspector.draw(grey, wire=True), "the finest level")]
+    pictures = [picture("triangles", inspector.draw(inspector.grey, wire=True), "the finest level")]
     return PageSection("triangles", pictures, rows=rows)

@@ -1,7 +1,5 @@
 """Where one stands to look: the whole person from front and back, the head, the hands."""
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -14,38 +12,32 @@ DISTANCE = 4.0
 MARGIN = 1.06
 
 
-class InspectView(NamedTuple):
-    name: str
-    camera: Camera
-    target: np.ndarray  # (3,) metres
-
-
-def standard_views(avatar: Avatar, size: int) -> list[InspectView]:
+def standard_views(avatar: Avatar, size: int) -> dict[str, Camera]:
     """Front and back at `size`, then at half of it the head from front and side and each hand from above."""
     points = avatar.levels[0].positions.astype(np.float64)
     low, high = points.min(0), points.max(0)
     middle, across = (low + high) / 2, float((high - low)[:2].max())
     joints = _joints(avatar)
     face, height = _face(avatar)
-    views = [
-        _view("front", middle, 0.0, 0.0, across, size),
-        _view("back", middle, np.pi, 0.0, across, size),
-        _view("head", face, 0.35, 0.05, height, size // 2),
-        _view("head, side", face, 1.5, 0.05, height, size // 2),
-    ]
+    views = {
+        "front": _camera(middle, 0.0, 0.0, across, size),
+        "back": _camera(middle, np.pi, 0.0, across, size),
+        "head": _camera(face, 0.35, 0.05, height, size // 2),
+        "head, side": _camera(face, 1.5, 0.05, height, size // 2),
+    }
     for side in ("left", "right"):
         wrist, tip = joints[JOINTS.index(f"{side}_wrist")], joints[JOINTS.index(f"{side}_middle3")]
         length = float(np.linalg.norm(tip - wrist))
         target = wrist + 0.6 * (tip - wrist)
-        views.append(_view(f"{side} hand", target, 0.0, 1.15, 1.5 * length, size // 2))
+        views[f"{side} hand"] = _camera(target, 0.0, 1.15, 1.5 * length, size // 2)
     return views
 
 
-def face_views(avatar: Avatar, size: int) -> list[InspectView]:
+def face_views(avatar: Avatar, size: int) -> dict[str, Camera]:
     """The face, filling the picture: from the front, and from a little to either side."""
     face, height = _face(avatar)
-    turns = (("face", 0.0), ("face, from its left", 0.7), ("face, from its right", -0.7))
-    return [_view(name, face, azimuth, 0.0, height - 0.02, size) for name, azimuth in turns]
+    turns = {"face": 0.0, "face, from its left": 0.7, "face, from its right": -0.7}
+    return {name: _camera(face, azimuth, 0.0, height - 0.02, size) for name, azimuth in turns.items()}
 
 
 def _joints(avatar: Avatar) -> Float[np.ndarray, "52 3"]:
@@ -61,9 +53,9 @@ def _face(avatar: Avatar) -> tuple[Float[np.ndarray, "3"], float]:
     return np.array([head[0], (head[1] - 0.06 + top) / 2, head[2]]), top - float(head[1]) + 0.10
 
 
-def _view(name: str, target: np.ndarray, azimuth: float, elevation: float, height: float, size: int) -> InspectView:
+def _camera(target: np.ndarray, azimuth: float, elevation: float, height: float, size: int) -> Camera:
     fov = 2 * np.arctan(0.5 * MARGIN * height / DISTANCE)
-    return InspectView(name, orbit_camera(target, DISTANCE, azimuth, elevation, (size, size), fov), target)
+    return orbit_camera(target, DISTANCE, azimuth, elevation, (size, size), fov)
 
 
 def strip(pictures: list[UInt8[np.ndarray, "_ _ 3"]]) -> UInt8[np.ndarray, "_ _ 3"]:

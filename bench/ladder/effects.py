@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from PIL import Image
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.face import SHAPES, FaceFrame
 from avatar.motion.clip import Motion
 from bench.ladder.machine import Quiet, times_of
-from bench.report.contact import save_sheet, sheet
+from bench.report.sheet import save_sheet, sheet
 from bench.report.writer import Json, markdown_table
 from command.settings import settings_of
 from files.whole import whole_folder, write_json, write_text
@@ -138,8 +137,7 @@ class Drawn:
 
 def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[int, int] = SIZE) -> Json:
     """Time every case, write effects.json, effects.md and effects.png into folder `out`."""
-    context = open_context()
-    try:
+    with open_context() as context:
         motion = motion_for(avatar, "walking")
         points = extent(avatar, motion.read(FRAMES.start, FRAMES.stop))
         camera = fitted_camera(points, SIDE, size, elevation=ABOVE)
@@ -149,28 +147,23 @@ def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[in
         with Quiet() as quiet:
             for case in cases(avatar):
                 drawn = Drawn(context, avatar, motion, case, camera)
-                try:
-                    bare_ms, with_it = timed_in_turns(bare, drawn, rounds)
-                    base += bare_ms[:, 0].tolist()
-                    times = np.median(with_it / bare_ms, axis=0)
-                    pictures.append(drawn.picture())
-                    ran = [name for name in drawn.passes() if name not in base_passes]
-                    rows.append(
-                        {
-                            "name": case.name,
-                            "ms": round(float(np.median(with_it[:, 0])), 3),
-                            "times_bare": round(float(times[0]), 3),
-                            "cpu_times_bare": round(float(times[1]), 3),
-                            "bytes": drawn.renderer.plan.bytes - bare.renderer.plan.bytes,
-                            "passes": len(ran),
-                            "ran": ran,
-                        }
-                    )
-                finally:
-                    drawn.renderer.release()
-        bare.renderer.release()
-    finally:
-        context.release()
+                bare_ms, with_it = timed_in_turns(bare, drawn, rounds)
+                base += bare_ms[:, 0].tolist()
+                times = np.median(with_it / bare_ms, axis=0)
+                pictures.append(drawn.picture())
+                ran = [name for name in drawn.passes() if name not in base_passes]
+                rows.append(
+                    {
+                        "name": case.name,
+                        "ms": round(float(np.median(with_it[:, 0])), 3),
+                        "times_bare": round(float(times[0]), 3),
+                        "cpu_times_bare": round(float(times[1]), 3),
+                        "bytes": drawn.renderer.plan.bytes - bare.renderer.plan.bytes,
+                        "passes": len(ran),
+                        "ran": ran,
+                    }
+                )
+                drawn.renderer.release()
     result = {
         "format": "selfscan-bench-effects",
         **quiet.facts(context),
@@ -184,7 +177,10 @@ def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[in
     with whole_folder(out) as folder:
         write_json(folder / "effects.json", result)
         write_text(folder / "effects.md", effects_markdown(result))
-        save_sheet(folder / "effects.png", _sheet(reference, pictures, result))
+        # pairs: the bare scene, and the scene with the effect
+        titles = [["bare", f"{row['name']}, {row['times_bare']:.2f} x"] for row in rows]
+        pairs = [[reference, picture] for picture in pictures]
+        save_sheet(folder / "effects.png", sheet(pairs, titles, f"effects of {avatar.name}", columns=4))
     return result
 
 
@@ -226,10 +222,3 @@ def effects_markdown(result: Json) -> str:
     if result["warning"]:
         lines += ["", result["warning"]]
     return "\n".join([*lines, "", "![each effect: without it, and with it](effects.png)", ""])
-
-
-def _sheet(reference: Array, pictures: list[Array], result: Json) -> Image.Image:
-    """Pairs: the bare scene, and the scene with the effect."""
-    rows = [[reference, picture] for picture in pictures]
-    titles = [["bare", f"{row['name']}, {row['times_bare']:.2f} x"] for row in result["effects"]]
-    return sheet(rows, titles, f"effects of {result['avatar']}", columns=4)

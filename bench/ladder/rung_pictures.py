@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +11,7 @@ from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
-from bench.report.contact import spread_poses
+from bench.report.writer import Json
 from capture.held_out import HeldOutView, read_held_out
 from command.errors import AssetError
 from player.budget.rung import Rung, shown
@@ -34,6 +35,13 @@ class ComparedFrame:
     truth: HeldOutView | None
 
 
+def spread_poses(views: Sequence[HeldOutView], view: str, count: int) -> list[HeldOutView]:
+    """`count` pictures of one kind, evenly spread over the set."""
+    those = [v for v in views if v.view == view]
+    chosen = np.unique(np.linspace(0, len(those) - 1, count).round().astype(int)) if those else []
+    return [those[i] for i in chosen]
+
+
 def held_out_frames(capture: Path, count: int = FRAMES) -> list[ComparedFrame]:
     """Body views of novel poses."""
     views = spread_poses(read_held_out(capture, "novel_pose"), "body", count)
@@ -48,6 +56,14 @@ def motion_frames(avatar: Avatar, count: int = FRAMES, size: tuple[int, int] = S
     chosen = (np.linspace(0.15, 0.85, count) * (len(clip.root) - 1)).round().astype(int)
     camera = fitted_camera(extent(avatar, clip), SIDE, size)
     return [ComparedFrame((clip.axis_angle[i], clip.root[i]), camera, None) for i in chosen.tolist()]
+
+
+class MeasuredRung(NamedTuple):
+    """A row of the result, milliseconds of each round where the rung took turns with the others, and its pictures."""
+
+    row: Json
+    ms: Float[Array, "rounds"] | None
+    pictures: list[Float[Array, "height width 3"]]
 
 
 def rung_pictures(

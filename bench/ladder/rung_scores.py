@@ -22,10 +22,8 @@ SMALLEST = 7
 
 def crop_of(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice]:
     """Where pictures are compared: the rectangle of the person, a little wider."""
-    where = rectangle(mask)
-    if where is None:
-        return slice(0, mask.shape[0]), slice(0, mask.shape[1])
-    return grown(where, 4, mask.shape)
+    height, width = mask.shape
+    return grown(rectangle(mask) or (slice(0, height), slice(0, width)), 4, mask.shape)
 
 
 def part_boxes(
@@ -55,8 +53,7 @@ def compared(
     crops: list[tuple[slice, slice]],
     masks: list[Bool[np.ndarray, "height width"]] | None = None,
 ) -> Json:
-    """FLIP of each picture over its rectangle and their mean, SSIM, PSNR of the pooled error over the rectangles and,
-    with masks, over those; null with the reason for equal pictures."""
+    """RUNG_METRICS over the pictures' rectangles and, with masks, over those; null with the reason for equal ones."""
     pictures = ImageScores(RUNG_METRICS if masks is not None else tuple(m for m in RUNG_METRICS if "mask" not in m.key))
     for k, (reference, picture, where) in enumerate(zip(references, drawn, crops, strict=True)):
         pictures.add(ComparedPicture(reference, picture, where, mask=None if masks is None else masks[k]))
@@ -75,18 +72,14 @@ def person_scores(
     boxes: list[dict[str, tuple[slice, slice]]],
     drawn: list,
 ) -> Json:
-    return compared(references, drawn, crops, masks) | {"parts": part_scores(references, drawn, boxes)}
-
-
-def part_scores(references: list, drawn: list, boxes: list[dict[str, tuple[slice, slice]]]) -> Json:
-    """FLIP and PSNR of head and hands, over their rectangles in the pictures that show them."""
-    out = {}
+    """Scores of the person and, as "parts", of head and hands, over their rectangles in the pictures that show them."""
+    parts = {}
     for name, kinds in (("head", ("head",)), ("hands", ("hand_left", "hand_right"))):
         seen = [(a, b, box[kind]) for a, b, box in zip(references, drawn, boxes) for kind in kinds if kind in box]
         if seen:
             scores = compared(*map(list, zip(*seen)))
-            out[name] = {key: scores[key] for key in ("psnr_db", "ssim", "flip")}
-    return out
+            parts[name] = {key: scores[key] for key in ("psnr_db", "ssim", "flip")}
+    return compared(references, drawn, crops, masks) | {"parts": parts}
 
 
 def row_of(name: str, ms: Float[np.ndarray, "n"], size: int) -> Json:

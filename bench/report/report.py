@@ -5,21 +5,18 @@ frames by alternating rounds and compared with the best rung, and with the truth
 """
 
 import os
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.gltf.avatar_file import read_avatar
 from bench.bench_command import BenchCommand
 from bench.ladder.machine import Quiet
-from bench.ladder.rung_pictures import SIZE, ComparedFrame, held_out_frames, motion_frames, rung_pictures
+from bench.ladder.rung_pictures import SIZE, MeasuredRung, held_out_frames, motion_frames, rung_pictures
 from bench.ladder.rung_scores import crop_of, mark_dominated, part_boxes, person_scores, row_of
 from bench.report.frontier.page import PagePictures, frontier_page
 from bench.report.rung_page import markdown, plot
@@ -27,7 +24,7 @@ from bench.report.writer import Json
 from files.whole import whole_folder, write_json, write_text
 from player.budget.ladder import Timing, rungs_of, time_rungs
 from player.budget.rung import Rung
-from player.gl.context import Context, open_context
+from player.gl.context import open_context
 
 Pictures = list[Float[Array, "height width 3"]]
 
@@ -38,8 +35,7 @@ def bench(command: BenchCommand) -> Json:
     avatar, capture, run, rounds = read_avatar(command.avatar), command.capture, command.run, command.rounds
     count, size = command.frames, command.size or SIZE
     frames = held_out_frames(capture, count) if capture is not None else motion_frames(avatar, count, size)
-    context = open_context()
-    try:
+    with open_context() as context:
         rungs = rungs_of(avatar)
         seen, full = [(frame.pose, frame.camera) for frame in frames], frames[0].camera.size
         with Quiet() as quiet:
@@ -49,14 +45,16 @@ def bench(command: BenchCommand) -> Json:
             for rung, timing in zip(rungs, timings, strict=True)
         ]
         if run is not None:
-            measured = with_field(context, run, frames, measured)
+            from bench.field.rungs import field_rungs  # it brings torch
+
+            measured = [*field_rungs(context, run, frames, measured[0].row["ms_median"]), *measured]
         truths = [f.truth.image() for f in frames if f.truth is not None]
-    finally:
-        context.release()
 
     rows, pictures = [one.row for one in measured], {one.row["name"]: one.pictures for one in measured}
     best, baked = rows[0]["name"], rungs[0].name
-    masks = [person_mask(*pair) for pair in zip(frames, pictures[best], strict=True)]
+    # where the person is: as the truth says, else where anything was drawn
+    masks = [shown.max(-1) > 0 if frame.truth is None else frame.truth.mask()
+             for frame, shown in zip(frames, pictures[best], strict=True)]  # fmt: skip
     crops = [crop_of(mask) for mask in masks]
     parts = [part_boxes(avatar, *frame.pose, frame.camera) for frame in frames]
     references: dict[str | None, Pictures] = {None: pictures[best]}
@@ -90,32 +88,6 @@ def bench(command: BenchCommand) -> Json:
         write_text(folder / "bench.html", frontier_page(result, first, avatar, rungs))
         plot(result, folder / "pareto.png")
     return result
-
-
-def person_mask(frame: ComparedFrame, picture: Float[Array, "height width 3"]) -> Bool[Array, "height width"]:
-    """Where the person is: as the truth says, else where anything was drawn."""
-    return frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
-
-
-class MeasuredRung(NamedTuple):
-    """A row of the result, milliseconds of each round where the rung took turns with the others, and its pictures."""
-
-    row: Json
-    ms: Float[Array, "rounds"] | None
-    pictures: Pictures
-
-
-def with_field(
-    context: Context, run: Path, frames: Sequence[ComparedFrame], measured: list[MeasuredRung]
-) -> list[MeasuredRung]:
-    """The rungs of the run's field before the player's; they took no turns with those."""
-    from bench.field.rungs import field_rungs  # it brings torch
-
-    baked_ms = measured[0].row["ms_median"]
-    for name, ms, size, pictures in field_rungs(context, run, frames):
-        row = row_of(name, ms, size) | {"times_faster": round(float(baked_ms / np.median(ms)), 5)}
-        measured = [MeasuredRung(row, None, pictures), *measured]
-    return measured
 
 
 def timed_row(rung: Rung, timing: Timing, best: Timing) -> Json:

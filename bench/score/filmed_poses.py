@@ -1,11 +1,9 @@
-"""Poses of the person's own videos beside the truth of the same frames: the geometry of an avatar whose poses were
-estimated from all frames of a video together.
+"""Poses of the person's own videos, estimated from all frames together, beside the truth of the same frames.
 
-A single held-out picture leaves the depth of limbs open (fitted_poses.py), and distances in its fit hold that:
-the true skeleton's limb joints end 3.5 cm from the truth there. Here ours stands as its own videos have it, and the
-truth as it was filmed. The whole person and the head are measured in frames of the body's video, a hand in frames of
-its own, in the world of that video's camera: where a camera or a focal length was estimated, its error counts in
-place. Head cameras of a capture stand in a frame of their own, so the head's video places nothing.
+A single held-out picture leaves the depth of limbs open (fitted_poses.py): the true skeleton's limb joints end 3.5 cm
+from the truth there, and distances hold that. The whole person and the head are measured in frames of the body's video,
+a hand in frames of its own, in the world of that video's camera: where a camera or a focal length was estimated, its
+error counts in place. Head cameras of a capture stand in a frame of their own, so the head's video places nothing.
 """
 
 from collections.abc import Mapping
@@ -38,16 +36,13 @@ class FilmedPoses(NamedTuple):
     # frames of each video whose surfaces are measured in a quick look; None: FRAMES
     most: int | None = None
 
-    def placements(self) -> list[Placement]:
-        return [placement for part in self.by_part.values() for placement in part]
-
-    def some(self) -> "FilmedPoses":
+    def some(self) -> dict[str, list[Placement]]:
         """FRAMES of each video, or `most`: surfaces are slow to measure."""
         few = {}
         for part, found in self.by_part.items():
             count = min(FRAMES[part], self.most or FRAMES[part])
             few[part] = [found[i] for i in np.unique(np.linspace(0, len(found), count, endpoint=False).astype(int))]
-        return self._replace(by_part=few)
+        return few
 
 
 def filmed_poses(run: Path | None, facts: Mapping[str, object], scan: Path, most: int | None = None) -> FilmedPoses:

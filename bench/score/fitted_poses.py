@@ -21,7 +21,6 @@ from numpy import ndarray as Array
 from avatar.limits import limits
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND, joint_transforms
-from bench.field.posed_field import PosableSurface
 from bench.score.trained_outline import TrainedOutline
 from capture.fit import hand, head
 from capture.fit.body import CUTS, hand_vertices
@@ -36,7 +35,6 @@ from capture.folder import CaptureSubject
 from capture.held_out import HeldOutView
 from capture.read.template import TemplateMesh
 from command.progress import progress
-from player.draw.raster import Rasteriser
 
 # degrees: how far each joint of the fingers is bent that a hand's fit begins from
 CLOSED = (10.0, 40.0, 70.0)
@@ -80,7 +78,8 @@ class Fitter:
                 for part, view in by_part.items()}  # fmt: skip
 
     def _body(self, view: HeldOutView) -> HeldOutView:
-        camera, axis_angle, root = fit_pose(self.template, view.keypoints(), _soft(view), focal=_focal(view))
+        mask, focal = view.pixels("masks", "L"), float(view.camera.K[0, 0])
+        camera, axis_angle, root = fit_pose(self.template, view.keypoints(), mask, focal=focal)
         return in_world(view, camera.camera_from_world, axis_angle, root)
 
     def _carried(self, posed: HeldOutView, found: HeldOutView, joint: str) -> HeldOutView:
@@ -124,7 +123,8 @@ class Fitter:
         return self._placed(view, estimate, footage)
 
     def _footage(self, view: HeldOutView, names: tuple[str, ...], moving: Array) -> Footage:
-        return footage_of(view.keypoints(), _soft(view)[None], names, moving, focal=_focal(view), focal_sigma=KNOWN)
+        mask, focal = view.pixels("masks", "L"), float(view.camera.K[0, 0])
+        return footage_of(view.keypoints(), mask[None], names, moving, focal=focal, focal_sigma=KNOWN)
 
     def _placed(self, view: HeldOutView, estimate: Estimate, footage: Footage) -> HeldOutView:
         video = posed_video(estimate, footage, np.ones(1, bool), level=False)
@@ -148,15 +148,11 @@ def moved(view: HeldOutView, T: Float[Array, "4 4"]) -> HeldOutView:
 
 
 def fitted_views(
-    subject: CaptureSubject,
-    held_out: Mapping[str, Sequence[HeldOutView]],
-    trained: PosableSurface | None = None,
-    raster: Rasteriser | None = None,
+    subject: CaptureSubject, held_out: Mapping[str, Sequence[HeldOutView]], outlines: TrainedOutline | None = None
 ) -> dict[str, list[HeldOutView]]:
     """The views of all sets in the same order, in the poses that `subject`, a template, is fitted to them in, and then
-    the surface that was `trained` from it, if there is one (and a `raster` to draw it with)."""
+    the surface that was trained from it, if there is one."""
     fitter, out = Fitter(subject), {}
-    outlines = None if trained is None or raster is None else TrainedOutline(trained, raster)
     for name, views in held_out.items():
         groups: dict[int, list[HeldOutView]] = {}
         for view in views:
@@ -167,11 +163,3 @@ def fitted_views(
         if outlines is not None:
             out[name] = [outlines.refined(view) for view in progress(out[name], f"outlines of {name}", len(views))]
     return out
-
-
-def _focal(view: HeldOutView) -> float:
-    return float(view.camera.K[0, 0])
-
-
-def _soft(view: HeldOutView) -> Array:
-    return view.pixels("masks", "L")

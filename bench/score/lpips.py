@@ -85,18 +85,14 @@ def read_perceptual(paths: Sequence[Path]) -> Perceptual:
         content = read_weights(path, WHAT)
         with unusable(f"{path}: expected {WHAT}, found"):
             found |= {str(name): value for name, value in dict(content).items()}
-    names = " and ".join(str(path) for path in paths)
-    network = Perceptual()
-    with torch.no_grad():
-        for layer, (index, into, out, kernel, *_) in enumerate(CONVOLUTIONS):
-            convolution = network.convolutions[layer]
-            assert isinstance(convolution, nn.Conv2d) and convolution.bias is not None
-            shapes = {"weight": (out, into, kernel, kernel), "bias": (out,)}
-            for name, shape in shapes.items():
-                keys = f"features.{index}.{name}", f"net.slice{layer + 1}.{index}.{name}"
-                getattr(convolution, name).copy_(weight_of(found, keys, shape, names))
-            keys = f"lin{layer}.model.1.weight", f"lins.{layer}.model.1.weight"
-            network.linear[layer].copy_(weight_of(found, keys, (1, out, 1, 1), names).reshape(out))
+    names, network = " and ".join(str(path) for path in paths), Perceptual()
+    own = network.state_dict()
+    for layer, (index, _, out, *_) in enumerate(CONVOLUTIONS):
+        for name in ("weight", "bias"):
+            into, keys = own[f"convolutions.{layer}.{name}"], [f"features.{index}.{name}"]
+            into.copy_(weight_of(found, [*keys, f"net.slice{layer + 1}.{index}.{name}"], tuple(into.shape), names))
+        keys = [f"lin{layer}.model.1.weight", f"lins.{layer}.model.1.weight"]
+        own[f"linear.{layer}"].copy_(weight_of(found, keys, (1, out, 1, 1), names).reshape(out))
     return network.eval().requires_grad_(False)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from flip_evaluator import nbflip  # pyright: ignore[reportAttributeAccessIssue]
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from scipy import ndimage
 from skimage.metrics import structural_similarity
 
 from avatar.psnr import PooledError, error_between, pooled
@@ -77,8 +78,8 @@ class Metric(NamedTuple):
     of_surfaces: Callable[[SurfaceDistance], float | None] | None = None
     # whether rungs of the player have it as well
     of_rungs: bool = False
-    # what the scores of many pictures make together; None: `pooled_score`
-    pool: Callable[[list[float]], float] | None = None
+    # what the scores of many pictures make together; errors are pooled in any case
+    pool: Callable[[list[float]], float | np.floating] = np.mean
 
 
 def psnr_score(error: PooledError) -> Score:
@@ -139,10 +140,7 @@ def outline_iou(compared: ComparedPicture) -> Score | None:
 
 def rectangle(mask: Bool[Array, "height width"]) -> tuple[slice, slice] | None:
     """Smallest rows and columns that hold the mask; None when it is empty."""
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if len(rows) == 0:
-        return None
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    return ndimage.find_objects(mask.astype(np.uint8), 1)[0]
 
 
 def grown(where: tuple[slice, slice], margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -154,15 +152,15 @@ def grown(where: tuple[slice, slice], margin: int, shape: tuple[int, ...]) -> tu
     )
 
 
-def pooled_score(samples: Sequence[Sample]) -> Score:
-    """One score of many pictures: PSNR of the pooled errors, else the mean of the scores that exist; where none does,
-    the first one's reason."""
+def pooled_score(samples: Sequence[Sample], pool: Callable[[list[float]], float | np.floating] = np.mean) -> Score:
+    """One score of many pictures: PSNR of the pooled errors, else what `pool` makes of the scores that exist; where
+    none does, the first one's reason."""
     errors = [sample for sample in samples if isinstance(sample, PooledError)]
     if errors:
         return psnr_score(pooled(errors))
     values = [s.value for s in samples if isinstance(s, Score) and s.value is not None]
     if values:
-        return Score(float(np.mean(values)))
+        return Score(float(pool(values)))
     return next((s for s in samples if isinstance(s, Score)), Score(None, "no images"))
 
 
@@ -227,12 +225,7 @@ class ImageScores:
 
     def scores(self) -> dict[str, Score]:
         """By metric; of no pictures each with its reason."""
-        out = {}
-        for metric in self.metrics:
-            score = pooled_score(samples := self.samples.get(metric.key, []))
-            values = [s.value for s in samples if isinstance(s, Score) and s.value is not None]
-            out[metric.key] = Score(metric.pool(values)) if metric.pool and values else score
-        return out
+        return {m.key: pooled_score(self.samples.get(m.key, []), m.pool) for m in self.metrics}
 
 
 def text_of(scores: Mapping[str, Any], metric: Metric) -> str:

@@ -3,7 +3,7 @@
 Box: pixels whose rays meet the axis-aligned box of the posed true region, 2 cm wider, ground black. The total is
 scored on the body view; head and hands on their close-ups, both pictures blacked out beyond the true part mask
 dilated by 5 px; the eyes on the head's close-ups, over the truth's visible eyeballs grown by 3 mm (`eye_region`),
-box and mask being that region itself. Frames in the T-pose are kept apart.
+box and mask being that region itself.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,18 +52,13 @@ def box_pixels(camera: Camera, low: Float[Array, "3"], high: Float[Array, "3"]) 
     return (leave >= np.maximum(enter, 0)).reshape(height, width)
 
 
-class Region(NamedTuple):
-    mask: Bool[Array, "height width"]  # its true pixels
-    # the pixels looked at; both pictures are black elsewhere
-    around: Bool[Array, "height width"]
-
-
-def region_of(view: HeldOutView, region: str) -> Region:
+def region_of(view: HeldOutView, region: str) -> tuple[Bool[Array, "height width"], Bool[Array, "height width"]]:
+    """A region's true pixels, and the pixels looked at; both pictures are black elsewhere."""
     if region == "total":
         mask = view.mask()
-        return Region(mask, np.ones_like(mask))
+        return mask, np.ones_like(mask)
     mask = view.parts() == REGION_PART[region] + 1
-    return Region(mask, binary_dilation(mask, np.ones((3, 3), bool), iterations=DILATION))
+    return mask, binary_dilation(mask, np.ones((3, 3), bool), iterations=DILATION)
 
 
 def eye_region(
@@ -81,13 +76,6 @@ def eye_region(
     return distance_to(shown) <= GROWN * camera.K[0, 0] / float(np.median(depth))
 
 
-class SetScores(NamedTuple):
-    """Scores of one set of pictures by region; T-pose frames apart where that was asked for."""
-
-    scored: dict[str, ImageScores]
-    t_pose: dict[str, ImageScores]
-
-
 class PictureJudge(NamedTuple):
     """How pictures are drawn, and beside what they are scored."""
 
@@ -100,21 +88,16 @@ class PictureJudge(NamedTuple):
 
 
 def score_images(
-    judge: PictureJudge,
-    views: list[HeldOutView],
-    label: str,
-    *,
-    t_pose_apart: bool,
-    ours: Sequence[HeldOutView] | None = None,
-) -> SetScores:
-    """Draw and score every picture of a set.
+    judge: PictureJudge, views: Sequence[HeldOutView], label: str, ours: Sequence[HeldOutView] | None = None
+) -> dict[str, ImageScores]:
+    """Draw every picture of a set and score it, by region.
 
     `ours`: the same views in the poses that are drawn, where the skeleton is another than the truth's.
     With a raster and a truth that knows its eyes, the eye region of the head's close-ups is scored as well.
     """
     mesh, draw, perceive, raster = judge
     with_eyes = raster is not None and mesh.eye is not None
-    scores = SetScores({region: ImageScores() for region in (*REGIONS, *["eyes"] * with_eyes)}, {})
+    scores = {region: ImageScores() for region in (*REGIONS, *["eyes"] * with_eyes)}
     vertices_of = {region: np.flatnonzero(mesh.part == part) for region, part in REGION_PART.items()}
     vertices_of["total"] = np.unique(mesh.faces)
     posed: tuple[int, Array] = (-1, np.zeros((0, 3)))
@@ -136,14 +119,12 @@ def score_images(
         if region == "head" and raster is not None and with_eyes:
             eyes = eye_region(raster, mesh, posed[1], view.camera) & around
             compared["eyes"] = eyes, eyes
-        into = scores.t_pose if t_pose_apart and is_t_pose(view) else scores.scored
         for name, (box, mask) in compared.items():
-            into.setdefault(name, ImageScores())
             where = rectangle(box)
             # what lies outside the picture counts as no picture
             if where is not None:
                 shown = drawn.mask if name == "total" else None
-                into[name].add(ComparedPicture(truth, image, where, box, mask, perceive, shown))
+                scores[name].add(ComparedPicture(truth, image, where, box, mask, perceive, shown))
     return scores
 
 

@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+from jaxtyping import Float
+
 from bench.field.posed_field import PosableSurface
 from bench.score.picture_scores import VIEW_REGION
 from bench.score.posed_geometry import (
@@ -102,6 +105,18 @@ def measure_poses(what: JudgedSurfaces, placements: list[Placement], label: str,
                 measure_pose(template, bare, out["zero_steps"], regions, every=BESIDE)
                 _measure_aligned(what, template, bare, regions, out["zero_steps_aligned"])
     return out
+
+
+def measure_once(
+    case: GeometryCase, axis_angle: Float[np.ndarray, "52 3"], apart: bool
+) -> tuple[Distances, PosedPair, Float[np.ndarray, "4 4"] | None]:
+    """One pose of both: distances, the two posed, and truth_from_surface by rigid ICP where the skeleton was estimated:
+    its pelvis is elsewhere."""
+    into, root = nothing(), case.truth.joints[0]
+    pair = posed_pair(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root))
+    T = alignment(case, pair) if apart else None
+    measure_pose(case, pair, into, every=BESIDE, truth_from_surface=T)
+    return into, pair, T
 
 
 def _measure_aligned(

@@ -69,18 +69,14 @@ def skin_beside_hair(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
     """True visible faces of head and neck within BESIDE of visible hair, hair apart; canonical pose."""
     middle = truth.canonical()[truth.faces].mean(1)
     hair = hair_faces(truth)
-    chosen = truth.visible & ~hair & _head_or_neck(truth)
+    head_and_neck = np.isin(truth.skin.heaviest, [JOINTS.index("neck"), JOINTS.index("head")])
+    head_and_neck |= truth.part == PARTS.index("head")
+    chosen = truth.visible & ~hair & head_and_neck[truth.faces].any(1)
     if not (hair & truth.visible).any() or not chosen.any():
         return np.zeros(len(truth.faces), bool)
     away = KDTree(middle[hair & truth.visible]).query(middle[chosen])[0]
     chosen[chosen] = away < BESIDE
     return chosen
-
-
-def _head_or_neck(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
-    bones = [JOINTS.index("neck"), JOINTS.index("head")]
-    own = (truth.part == PARTS.index("head")) | np.isin(truth.skin.heaviest, bones)
-    return own[truth.faces].any(1)
 
 
 class PoseDistances(NamedTuple):
@@ -142,23 +138,16 @@ def measure_pose(
     """Add the distances of one pose to those regions of `into` that are among `only`. `every` takes only each n-th
     sample; `truth_from_surface` moves the reconstruction rigidly first."""
     hair = hair_faces(case.truth)[case.truth.visible]
-    regions = [region for region in case.on_truth if region in case.on_surface and region in into and region in only]
-    if not regions:
-        return
-    ours = [thinned(case.on_surface[region], every) for region in regions]
-    true = [thinned(case.on_truth[region], every) for region in regions]
-    there = np.concatenate([samples.on(pair.surface, case.faces) for samples in ours])
-    back = np.concatenate([samples.on(pair.truth, case.truth_faces) for samples in true])
-    if truth_from_surface is not None:
-        R, t = truth_from_surface[:3, :3], truth_from_surface[:3, 3]
-        there, back = there @ R.T + t, (back - t) @ R
-    to_truth = closest_points(there, pair.truth_index)
-    to_surface = closest_points(back, pair.index)
-    ends = [np.cumsum([len(samples.face) for samples in these])[:-1] for these in (ours, true)]
-    distance, face = np.split(to_truth.distance, ends[0]), np.split(to_truth.face, ends[0])
-    returning = np.split(to_surface.distance, ends[1])
-    for i, region in enumerate(regions):
-        into[region].append(PoseDistances(distance[i], hair[face[i]], returning[i], hair[true[i].face]))
+    for region in case.on_truth.keys() & case.on_surface.keys() & into.keys() & set(only):
+        true = thinned(case.on_truth[region], every)
+        there = thinned(case.on_surface[region], every).on(pair.surface, case.faces)
+        back = true.on(pair.truth, case.truth_faces)
+        if truth_from_surface is not None:
+            R, t = truth_from_surface[:3, :3], truth_from_surface[:3, 3]
+            there, back = there @ R.T + t, (back - t) @ R
+        found = closest_points(there, pair.truth_index)
+        returning = closest_points(back, pair.index).distance
+        into[region].append(PoseDistances(found.distance, hair[found.face], returning, hair[true.face]))
 
 
 def thinned(samples: SurfaceSamples, every: int) -> SurfaceSamples:
@@ -167,8 +156,7 @@ def thinned(samples: SurfaceSamples, every: int) -> SurfaceSamples:
 
 
 def alignment(case: GeometryCase, pair: PosedPair, region: str = "total") -> Float[np.ndarray, "4 4"]:
-    """truth_from_surface by rigid ICP onto the truth: of the whole reconstruction (what the paper's code does), or of a
-    region."""
+    """truth_from_surface by rigid ICP onto the truth, of the whole reconstruction as the paper's code, or a region."""
     few = thinned(case.on_surface[region], 16 if region == "total" else 4)
     return rigid_icp(few.on(pair.surface, case.faces), pair.truth_index, rounds=15)
 

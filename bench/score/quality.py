@@ -1,10 +1,9 @@
 """Quality of a trained run or a baked avatar against a capture's ground truth (`selfscan eval`).
 
-Pictures as bench/score/picture_scores.py says; geometry as P2S and Chamfer in centimetres between posed surfaces,
-visible surface only, without alignment. Beside them: the subject's own rig weights in place of ours (what is
-left is learning, the difference is skinning), ICP-aligned as the paper's code does, T-pose, canonical, and the
-template before training (0 steps). What the reconstruction was given stands as "input"; the poses of an estimated
-skeleton are fitted to each held-out picture (bench/score/fitted_poses.py).
+Pictures as picture_scores.py says; P2S and Chamfer between posed visible surfaces, without alignment. Beside them: the
+subject's own rig weights in place of ours (what is left is learning, the difference is skinning), ICP-aligned as the
+paper's code does, T-pose, canonical, and the template before training (0 steps). "input": what the reconstruction was
+given; the poses of an estimated skeleton are fitted to each held-out picture (fitted_poses.py).
 """
 
 import sys
@@ -12,6 +11,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain, compress
 from pathlib import Path
 
 import numpy as np
@@ -27,22 +27,13 @@ from bench.score.fitted_poses import fitted_views
 from bench.score.lpips import read_perceptual
 from bench.score.metrics import Perceive
 from bench.score.picture_scores import NO_EYES, PictureJudge, is_t_pose, score_images
-from bench.score.pose_distances import BESIDE, JudgedSurfaces, Placement, Rows, fitted_poses, measure_poses, same_poses
-from bench.score.posed_geometry import (
-    Distances,
-    GeometryCase,
-    PosedPair,
-    alignment,
-    geometry_case,
-    measure_pose,
-    nothing,
-    own_weights_surface,
-    posed_pair,
-)
+from bench.score.pose_distances import JudgedSurfaces, Placement, fitted_poses, measure_once, measure_poses, same_poses
+from bench.score.posed_geometry import GeometryCase, geometry_case, own_weights_surface
 from bench.score.quality_table import PAPER
-from bench.score.region_scores import regions_of, rounded, with_outlines, without_eyes
+from bench.score.region_scores import regions_of, rounded, without_eyes
 from bench.score.skeleton_distance import BODY, HANDS, LIMBS, joints_off, posed_skeletons, turned_off
 from bench.score.standing import SIDES, face_landmarks_mm, outline_scores
+from bench.score.trained_outline import TrainedOutline
 from bench.score.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import CaptureSubject, input_kind, read_subject
 from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts, some_poses
@@ -66,17 +57,13 @@ class Evaluated:
     truth: TrueMesh
     # held-out views by set, in true poses
     filmed: dict[str, list[HeldOutView]]
-    # the same in the poses of an estimated skeleton; None: the skeleton was given
+    # the same in the poses of an estimated skeleton, in which ours is drawn; None: the skeleton was given
     ours: dict[str, list[HeldOutView]] | None = None
     # the template that training began with; None: not at hand
     template: CaptureSubject | None = None
     # poses of the person's own videos; None: not asked for
     videos: FilmedPoses | None = None
     perceive: Perceive | None = None
-
-    def posed(self, name: str) -> list[HeldOutView]:
-        """The views of a set in the poses in which ours is drawn."""
-        return (self.ours or self.filmed)[name]
 
     @property
     def judge(self) -> PictureJudge:
@@ -96,16 +83,14 @@ def evaluate(
         try:
             kind = input_kind(drawer.provenance.get("capture") or {}, str(path))
             what = prepared(drawer, truth, capture, kind, poses=poses, run=run)
-            what = replace(what, perceive=perceive)
-            result = measured(what)
+            result = measured(replace(what, perceive=perceive))
         finally:
             drawer.release()
-    kind_of_source = "avatar" if drawer.avatar is not None else "run"
-    source = {"name": path.name, "kind": kind_of_source, "provenance": drawer.provenance}
+    source = "avatar" if drawer.avatar is not None else "run"
     return {
         "format": "selfscan-quality",
         "input": kind,
-        "source": source,
+        "source": {"name": path.name, "kind": source, "provenance": drawer.provenance},
         "machine": machine(drawer.context),
         "capture": {name: facts[name] for name in CAPTURE_FACTS if name in facts},
         **result,
@@ -120,15 +105,14 @@ def prepared(
 ) -> Evaluated:
     """The truth, held-out views and, of an estimated skeleton, their fitted poses; at most `poses` of each set."""
     held_out = {name: some_poses(read_held_out(capture, name), poses) for name in SETS}
+    run = drawer.path if drawer.field is not None else run
     template, ours = template_of_run(drawer, run, kind), None
     if kind != "given":
         assert template is not None
         print_stage(f"{kind}: poses fitted to {sum(map(len, held_out.values()))} held-out pictures")
-        ours = fitted_views(template, held_out, drawer.surface, drawer.raster)
-    own_run = drawer.path if drawer.field is not None else run
-    run_facts = {} if own_run is None else read_json_object(own_run / "run.json", "the facts of a run")
-    videos = filmed_poses(own_run, run_facts, capture, poses)
-    return Evaluated(drawer, truth, held_out, ours, template, videos)
+        ours = fitted_views(template, held_out, TrainedOutline(drawer.surface, drawer.raster))
+    run_facts = {} if run is None else read_json_object(run / "run.json", "the facts of a run")
+    return Evaluated(drawer, truth, held_out, ours, template, filmed_poses(run, run_facts, capture, poses))
 
 
 def seen_case(drawer: Drawer, truth: TrueMesh, surface: PosableSurface) -> GeometryCase:
@@ -148,13 +132,11 @@ def template_surface(subject: CaptureSubject) -> PosableSurface:
 
 
 def template_of_run(drawer: Drawer, run: Path | None, kind: str) -> CaptureSubject | None:
-    """The template of what is evaluated: its own run's, else that of `run`; None: none is at hand, and none needed.
+    """The template of the run of what is evaluated; None: none is at hand, and none needed.
 
     Raises:
         AssetError: the poses of an estimated skeleton have to be fitted, and no run says with which template.
     """
-    if drawer.field is not None:
-        return read_subject(drawer.path / "subject.npz")
     if run is not None:
         return read_subject(run / "subject.npz")
     if kind != "given":
@@ -168,10 +150,15 @@ def template_of_run(drawer: Drawer, run: Path | None, kind: str) -> CaptureSubje
 def measured(what: Evaluated) -> Json:
     """The table of one evaluation, row by row, each with its regions and their metrics: the held-out sets, and what
     stands beside them."""
-    surfaces = judged_surfaces(what)
-    out: Json = {}
+    drawer, truth, given, out = what.drawer, what.truth, what.ours is None, Json()
+    surfaces = JudgedSurfaces(
+        seen_case(drawer, truth, drawer.surface),
+        None if what.template is None else seen_case(drawer, truth, template_surface(what.template)),
+        own_weights_surface(truth, drawer.surface) if given else None,
+        apart=not given,
+    )
     beside: Json = {
-        **standing_rows(surfaces, what.drawer.raster, what.template),
+        **standing_rows(surfaces, drawer.raster, what.template),
         "canonical": regions_of(measure_once(surfaces.case, BIG_POSE, surfaces.apart)[0]),
     }
     for name in what.filmed:
@@ -179,54 +166,45 @@ def measured(what: Evaluated) -> Json:
         out |= rows
         beside |= more
     if what.videos is not None:
-        joints = what.drawer.surface.joints if what.template is None else what.template.joints
+        joints = drawer.surface.joints if what.template is None else what.template.joints
         beside |= in_filmed_poses(replace(surfaces, own=None, apart=True), what.videos, joints)
-    return {**out, "baked_vs_field": baked_vs_field_of(what.drawer), "beside": beside}
-
-
-def judged_surfaces(what: Evaluated) -> JudgedSurfaces:
-    """The surfaces that are measured: ours, the template's, and ours under the rig's own weights."""
-    drawer, truth, given = what.drawer, what.truth, what.ours is None
-    return JudgedSurfaces(
-        seen_case(drawer, truth, drawer.surface),
-        None if what.template is None else seen_case(drawer, truth, template_surface(what.template)),
-        own_weights_surface(truth, drawer.surface) if given else None,
-        apart=not given,
-    )
+    return {**out, "baked_vs_field": baked_vs_field_of(drawer), "beside": beside}
 
 
 def held_out_rows(what: Evaluated, surfaces: JudgedSurfaces, name: str) -> tuple[Json, Json]:
     """The rows of one set of held-out pictures, and what stands beside novel poses. Novel views are of a standing
     T-pose by design; among novel poses a T-pose frame would flatter, and stands by itself."""
-    views, own_views, novel = what.filmed[name], what.posed(name), name == "novel_pose"
+    views, own_views, novel = what.filmed[name], (what.ours or what.filmed)[name], name == "novel_pose"
     text = name.replace("_", " ")
     print_stage(f"{text}: {plural(len(views), 'picture')}")
-    images = score_images(what.judge, views, f"{name} pictures", t_pose_apart=novel, ours=own_views)
-    kept = [i for i, view in enumerate(views) if not (novel and is_t_pose(view))]
-    moving, own_moving = [views[i] for i in kept], [own_views[i] for i in kept]
+    still = [novel and is_t_pose(view) for view in views]
+    moving, own_moving = (list(compress(one, np.logical_not(still))) for one in (views, own_views))
+    images = score_images(what.judge, moving, f"{name} pictures", own_moving)
     placements = same_poses(moving) if what.ours is None else fitted_poses(moving, own_moving)
     print_stage(f"{text}: {len(placements)} posed surfaces")
     distances = measure_poses(surfaces, placements, f"{name} surfaces", beside=novel)
-    rows: Json = {name: {"eyes": without_eyes(NO_EYES)} | regions_of(distances["ours"], images.scored)}
+    rows: Json = {name: {"eyes": without_eyes(NO_EYES)} | regions_of(distances["ours"], images)}
     if not novel:
         return rows, {}
-    beside = beside_novel_poses(what, surfaces, distances, placements)
-    if images.t_pose:
-        beside["t_pose_frames"] = regions_of({}, images.t_pose)
+    beside = {name: regions_of(found) for name, found in distances.items() if name != "ours"}
+    beside = beside_novel_poses(what, placements, beside)
+    if any(still):
+        t_pose, own_t_pose = (list(compress(one, still)) for one in (views, own_views))
+        beside["t_pose_frames"] = regions_of({}, score_images(what.judge, t_pose, f"{name} T-poses", own_t_pose))
     return rows, beside
 
 
-def beside_novel_poses(what: Evaluated, surfaces: JudgedSurfaces, distances: Rows, placements: list[Placement]) -> Json:
+def beside_novel_poses(what: Evaluated, placements: list[Placement], rows: Json) -> Json:
     """Novel poses after alignment, of the template before training and under the rig's weights; joints of fitted
     poses."""
     out: Json = {
         "zero_steps": None,
         "own_weights": None,
-        **{name: regions_of(found) for name, found in distances.items() if name != "ours"},
+        **rows,
         "zero_steps_reason": "a template has no colors before training: no pictures",
         "poses": len(placements),
     }
-    if surfaces.template is None:
+    if what.template is None:
         out["zero_steps_reason"] = "the avatar file holds no template; give --run"
     if what.ours is not None and what.template is not None:
         seen = [(p.truth, own) for p in placements for part, own in p.ours.items() if "total" in part]
@@ -240,14 +218,15 @@ def in_filmed_poses(what: JudgedSurfaces, videos: FilmedPoses, joints: np.ndarra
     """The rows of the person's own videos, each region aligned by itself; `joints` are our skeleton's, pose 0."""
     if not videos.by_part:
         return {"filmed": None, "filmed_reason": videos.reason}
-    placements = videos.some().placements()
+    few = videos.some()
+    placements = list(chain(*few.values()))
     print_stage(f"the person's own videos: {len(placements)} posed surfaces")
     distances = measure_poses(what, placements, "filmed surfaces", beside=True)
     rows = {"filmed" if name == "ours" else f"filmed_{name}": found for name, found in distances.items()}
     return {
         **{name: regions_of(row) for name, row in rows.items()},
         **in_filmed_skeletons(videos, joints, what.truth.joints),
-        "filmed_frames": {part: len(found) for part, found in videos.some().by_part.items()},
+        "filmed_frames": {part: len(found) for part, found in few.items()},
     }
 
 
@@ -278,24 +257,11 @@ def standing_rows(what: JudgedSurfaces, raster: Rasteriser, template: CaptureSub
             continue
         print_stage(f"{name.replace('_', ' ')}: distances, and outlines from {SIDES} sides")
         distances, pair, T = measure_once(case, np.zeros((52, 3)), what.apart)
-        rows[name] = with_outlines(regions_of(distances), outline_scores(raster, case, pair, T))
-        if template is not None:
-            face = face_landmarks_mm(template, case, pair)
-            if face is not None:
-                rows[name]["head"] |= {"face_mm": rounded(face.shape), "face_on_head_mm": rounded(face.on_head)}
+        rows[name], standing = regions_of(distances), outline_scores(raster, case, pair, T)
+        standing["head"] = standing.get("head", {}) | face_landmarks_mm(template, case, pair)
+        for region, scores in standing.items():
+            rows[name][region] |= {key: rounded(score) for key, score in scores.items()}
     return rows
-
-
-def measure_once(
-    case: GeometryCase, axis_angle: np.ndarray, apart: bool
-) -> tuple[Distances, PosedPair, np.ndarray | None]:
-    """One pose of both: distances, the two posed, and truth_from_surface by rigid ICP where the skeleton was estimated:
-    its pelvis is elsewhere."""
-    into, root = nothing(), case.truth.joints[0]
-    pair = posed_pair(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root))
-    T = alignment(case, pair) if apart else None
-    measure_pose(case, pair, into, every=BESIDE, truth_from_surface=T)
-    return into, pair, T
 
 
 def baked_vs_field_of(drawer: Drawer) -> Json:

@@ -34,7 +34,6 @@ def table_rows(result: Json) -> list[list[str]]:
                 rows.append([f"  paper: {region}", *cells(PAPER[region])])
     beside = result["beside"]
     labels = {
-        "ceiling": "novel pose, true mesh under our weights",
         "own_weights": "novel pose, our surface under the rig's weights",
         "aligned": "novel pose, ICP-aligned",
         "zero_steps": "novel pose, 0 steps: the template before training",

@@ -1,11 +1,8 @@
 """Scores of head, hands and the whole person as JSON, from pictures and surface distances; hands pool both."""
 
-from collections.abc import Mapping
-
 from bench.report.writer import Json
 from bench.score.metrics import METRICS, PICTURE_METRICS, ImageScores
 from bench.score.posed_geometry import Distances, PoseDistances, pooled_distance
-from bench.score.standing import OutlineScore
 from bench.score.surface_distance import SurfaceDistance
 
 
@@ -23,17 +20,6 @@ def regions_of(distances: Distances, images: dict[str, ImageScores] | None = Non
     if distances.get("skin_beside_hair"):
         regions.append("skin_beside_hair")
     return {region: region_scores(distances.get(region), images.get(region)) for region in regions}
-
-
-def with_outlines(regions: dict[str, Json], outlines: Mapping[str, OutlineScore]) -> dict[str, Json]:
-    """The regions with the outlines of those that have one; hands are as good as the two are on average."""
-    found = dict(outlines)
-    if {"left_hand", "right_hand"} <= found.keys():
-        left, right = found["left_hand"], found["right_hand"]
-        found["hands"] = OutlineScore(0.5 * (left.mean + right.mean), min(left.worst, right.worst))
-    for region, score in found.items():
-        regions[region] |= {"outline_iou": rounded(score.mean), "outline_worst": rounded(score.worst)}
-    return regions
 
 
 def without_eyes(reason: str) -> Json:

@@ -7,8 +7,6 @@ laid on the true ones once by the rigid motion that fits them best (the face's s
 aligned (where the face sits in it: a centimetre of hair moves that by as much).
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float
 
@@ -28,17 +26,11 @@ INNER = range(17, 68)
 MILLIMETRES = 1000.0  # per metre
 
 
-class OutlineScore(NamedTuple):
-    """Intersection over union of the true outline and ours, [0, 1]."""
-
-    mean: float
-    worst: float
-
-
 def outline_scores(
     raster: Rasteriser, case: GeometryCase, pair: PosedPair, truth_from_surface: Float[np.ndarray, "4 4"] | None = None
-) -> dict[str, OutlineScore]:
-    """Scores of the whole person and, within pictures that their true surface fills, of head and hands."""
+) -> dict[str, dict[str, float]]:
+    """Intersection over union of the true outline and ours, [0, 1], mean and worst: of the whole person and, within
+    pictures that their true surface fills, of head and hands; hands are as good as the two are on average."""
     ours = pair.surface
     if truth_from_surface is not None:
         ours = ours @ truth_from_surface[:3, :3].T + truth_from_surface[:3, 3]
@@ -55,7 +47,11 @@ def outline_scores(
             camera = framing(framed, 2 * np.pi * side / SIDES)
             true, drawn = (raster.draw(*mesh, camera).face >= 0 for mesh in ((pair.truth, faces), (ours, case.faces)))
             ratios.append((true & drawn).sum() / max((true | drawn).sum(), 1))
-        scores[region] = OutlineScore(float(np.mean(ratios)), float(np.min(ratios)))
+        scores[region] = {"outline_iou": float(np.mean(ratios)), "outline_worst": float(np.min(ratios))}
+    if {"left_hand", "right_hand"} <= scores.keys():
+        left, right = scores["left_hand"], scores["right_hand"]
+        worst = min(left["outline_worst"], right["outline_worst"])
+        scores["hands"] = {"outline_iou": 0.5 * (left["outline_iou"] + right["outline_iou"]), "outline_worst": worst}
     return scores
 
 
@@ -66,18 +62,12 @@ def framing(points: Float[np.ndarray, "n 3"], azimuth: float) -> Camera:
     return orbit_camera(middle, 1.1 * radius / np.tan(FOV / 2), azimuth, 0.0, SIZE, FOV)
 
 
-class FaceOffset(NamedTuple):
-    """Mean distance of the features in pose 0, millimetres."""
-
-    shape: float  # the features aligned by themselves
-    on_head: float  # the head aligned
-
-
-def face_landmarks_mm(template: CaptureSubject, case: GeometryCase, pair: PosedPair) -> FaceOffset | None:
-    """The features' errors; None: the truth or the template names none."""
+def face_landmarks_mm(template: CaptureSubject | None, case: GeometryCase, pair: PosedPair) -> dict[str, float]:
+    """Mean distance of the features in pose 0, millimetres, aligned by themselves and with the head; empty: the truth
+    or the template names none."""
     truth = case.truth.face
-    if truth is None or not template.on_free_body:
-        return None
+    if truth is None or template is None or not template.on_free_body:
+        return {}
     points = body_points()
     places = np.stack([points[f"face_{number:02d}"].place(template.vertices, template.joints) for number in INNER])
     found = closest_points(places, triangle_index(case.surface.vertices, case.faces))
@@ -89,4 +79,5 @@ def face_landmarks_mm(template: CaptureSubject, case: GeometryCase, pair: PosedP
     own /= np.cbrt(np.linalg.det(own))
     off = (ours - ours.mean(0)) @ own.T - (truth[INNER] - truth[INNER].mean(0))
     on_head = ours @ T[:3, :3].T + T[:3, 3] - truth[INNER]
-    return FaceOffset(*(MILLIMETRES * float(np.linalg.norm(x, axis=1).mean()) for x in (off, on_head)))
+    shape, placed = (MILLIMETRES * float(np.linalg.norm(x, axis=1).mean()) for x in (off, on_head))
+    return {"face_mm": shape, "face_on_head_mm": placed}

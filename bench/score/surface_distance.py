@@ -1,4 +1,4 @@
-"""Distances between surfaces in centimetres: P2S and Chamfer, per region, on what can be seen from outside.
+"""Distances between surfaces in centimetres, per region, on what can be seen from outside.
 
     P2S  = mean over samples of the reconstruction of the distance to the true surface
     back = mean over samples of the true surface of the distance to the reconstruction: what is missing counts

@@ -7,7 +7,6 @@ person; the pose that was fitted holds all that outlines do not see.
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -33,6 +32,7 @@ from capture.fit.body import MOVING
 from capture.fit.hand import hand_joints
 from capture.fit.pixels import compare_pixels
 from capture.held_out import HeldOutView
+from geometry.cells import nearest_marked
 from geometry.least_squares import NormalEquations
 from player.draw.raster import Rasteriser
 
@@ -48,13 +48,6 @@ TURN, WHOLE, ROOT = 6.0, 10.0, 0.03
 DEPTH = 0.005
 # in a close-up the outline counts of what hangs from this joint
 TOPS = {"head": "head", "hand_left": "left_wrist", "hand_right": "right_wrist"}
-
-
-class _Drawn(NamedTuple):
-    hit: Bool[Array, "height width"]
-    # the surface vertex nearest to each pixel that is hit
-    vertex: Int[Array, "height width"]
-    posed: Float[Array, "vertices 3"]
 
 
 class TrainedOutline:
@@ -97,33 +90,25 @@ class TrainedOutline:
         turning = np.zeros(0, np.int64) if part == "head" else hand_joints(part.removeprefix("hand_"))
         return np.unique(np.r_[0, turning]), DESCENDS[self.surface.skin.heaviest, JOINTS.index(TOPS[part])]
 
-    def _draw(self, frame: Posed, camera: Camera) -> _Drawn:
-        posed = skin_points(self.surface.vertices, self.surface.skin, frame.transforms)
-        faces = faces_in_picture(posed, self.surface.faces, camera)
-        drawn = self.raster.draw(posed, faces, camera, camera.size)
-        hit = drawn.face >= 0
-        vertex = np.zeros(hit.shape, np.int64)
-        vertex[hit] = np.take_along_axis(faces[drawn.face[hit]], drawn.barycentric[hit].argmax(1)[:, None], 1)[:, 0]
-        return _Drawn(hit, vertex, posed)
-
     def _add_outline(
         self, equations: NormalEquations, frame: Posed, camera: Camera, mask: Float[Array, "height width"], blur: float,
         moving: Int[Array, "m"], own: Bool[Array, "vertices"],
     ) -> None:  # fmt: skip
-        drawn = self._draw(frame, camera)
-        if not drawn.hit.any():
+        posed = skin_points(self.surface.vertices, self.surface.skin, frame.transforms)
+        faces = faces_in_picture(posed, self.surface.faces, camera)
+        drawn = self.raster.draw(posed, faces, camera)
+        hit = drawn.face >= 0
+        if not hit.any():
             return
-        near = ndimage.binary_dilation(drawn.hit | (mask > 0.5), iterations=max(2, round(3 * blur)))
+        near = ndimage.binary_dilation(hit | (mask > 0.5), iterations=max(2, round(3 * blur)))
         rows, columns = (a[::STRIDE] for a in np.nonzero(near))
-        nearest = ndimage.distance_transform_edt(~drawn.hit, return_distances=False, return_indices=True)
-        assert isinstance(nearest, np.ndarray)
-        hit = nearest[:, rows, columns]
-        vertex = drawn.vertex[hit[0], hit[1]]
-        close = np.hypot(hit[0] - rows, hit[1] - columns) < FAR * camera.size[1] / 512
-        keep = close & own[vertex]
+        at = tuple(axis[rows, columns] for axis in nearest_marked(hit))
+        # the surface vertex nearest to the nearest pixel that is hit
+        vertex = np.take_along_axis(faces[drawn.face[at]], drawn.barycentric[at].argmax(1)[:, None], 1)[:, 0]
+        keep = (np.hypot(at[0] - rows, at[1] - columns) < FAR * camera.size[1] / 512) & own[vertex]
         rows, columns, vertex = rows[keep], columns[keep], vertex[keep]
-        blurred = [ndimage.gaussian_filter(a.astype(np.float64), blur) for a in (drawn.hit, mask)]
+        blurred = [ndimage.gaussian_filter(a.astype(np.float64), blur) for a in (hit, mask)]
         found = compare_pixels(blurred[0], blurred[1], (rows, columns), OUTLIER)
-        g = np.einsum("ni,nij->nj", found.slope, pixel_rows(camera, drawn.posed[vertex])[1])
+        g = np.einsum("ni,nij->nj", found.slope, pixel_rows(camera, posed[vertex])[1])
         rows = increment_rows(frame, self.surface.vertices[vertex], self.surface.skin.of(vertex), g, moving)
         equations.add(0, rows, found.residual, STRIDE * found.weight / (PIXEL**2 * (1 + blur**2)))

@@ -14,6 +14,14 @@ from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from capture.held_out import read_arrays
 
+# shape, a letter for a length that must be the same everywhere, and kind of numbers
+FIELDS = {
+    "vertices": (("v", 3), np.float64), "faces": (("f", 3), np.int64), "joints": ((52, 3), np.float64),
+    "skin_joints": (("v", 4), np.int64), "skin_weights": (("v", 4), np.float32), "part": (("v",), np.int64),
+    "hair": (("v",), bool), "visible": (("f",), bool),
+}  # fmt: skip
+OPTIONAL = {"eye": (("v",), bool), "face": ((68, 3), np.float64)}
+
 
 @dataclass(frozen=True)
 class TrueMesh:
@@ -48,25 +56,8 @@ def read_true_mesh(capture: Path) -> TrueMesh:
         AssetError: the capture has no ground truth, or a field is absent, misshapen or not finite.
     """
     path = Path(capture) / "truth" / "rest.npz"
-    shapes = {
-        "vertices": ("v", 3),
-        "faces": ("f", 3),
-        "skin_joints": ("v", 4),
-        "skin_weights": ("v", 4),
-        "joints": (52, 3),
-        "part": ("v",),
-        "hair": ("v",),
-        "visible": ("f",),
-    }
-    fields = read_arrays(path, shapes, {"eye": ("v",), "face": (68, 3)})
-    return TrueMesh(
-        fields["vertices"].astype(np.float64),
-        fields["faces"].astype(np.int64),
-        SkinWeights(fields["skin_joints"].astype(np.int64), fields["skin_weights"].astype(np.float32)),
-        fields["joints"].astype(np.float64),
-        fields["part"].astype(np.int64),
-        fields["hair"].astype(bool),
-        fields["visible"].astype(bool),
-        fields["eye"].astype(bool) if "eye" in fields else None,
-        fields["face"].astype(np.float64) if "face" in fields else None,
-    )
+    required, optional = ({name: shape for name, (shape, _) in table.items()} for table in (FIELDS, OPTIONAL))
+    kinds = {name: kind for name, (_, kind) in (FIELDS | OPTIONAL).items()}
+    fields = {name: array.astype(kinds[name]) for name, array in read_arrays(path, required, optional).items()}
+    skin = SkinWeights(fields.pop("skin_joints"), fields.pop("skin_weights"))
+    return TrueMesh(skin=skin, **fields)

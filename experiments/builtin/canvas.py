@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from experiments.builtin.noise import noise, smoothstep
+from experiments.builtin.noise import noise
+from synth.people.mesh import smoothstep
 
 Array = np.ndarray
 

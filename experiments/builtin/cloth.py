@@ -20,9 +20,10 @@ from experiments.builtin.hems import (
     waist_levels,
 )
 from experiments.builtin.looks import Looks
-from experiments.builtin.noise import noise, smoothstep
+from experiments.builtin.noise import noise
 from experiments.builtin.refine import TexturedMesh, edges_of, smoothed
 from geometry.mesh import vertex_normals
+from synth.people.mesh import smoothstep
 
 Array = np.ndarray
 

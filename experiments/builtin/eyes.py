@@ -9,7 +9,8 @@ from jaxtyping import Float, UInt8
 from experiments.builtin.canvas import mixed, srgb
 from experiments.builtin.dressed import EYE, Dressed, joined
 from experiments.builtin.looks import Looks
-from experiments.builtin.noise import noise, smoothstep
+from experiments.builtin.noise import noise
+from synth.people.mesh import smoothstep
 
 Array = np.ndarray
 

@@ -6,7 +6,8 @@ from jaxtyping import Float
 from experiments.builtin.canvas import Canvas, mixed, spot, srgb
 from experiments.builtin.face import LID_X, Face
 from experiments.builtin.looks import Looks
-from experiments.builtin.noise import noise, smoothstep
+from experiments.builtin.noise import noise
+from synth.people.mesh import smoothstep
 
 Array = np.ndarray
 

@@ -5,7 +5,8 @@ from jaxtyping import Float
 
 from experiments.builtin.canvas import Canvas, mixed, shaded, srgb
 from experiments.builtin.looks import Looks
-from experiments.builtin.noise import fractal, noise, smoothstep
+from experiments.builtin.noise import fractal, noise
+from synth.people.mesh import smoothstep
 
 Array = np.ndarray
 

@@ -10,7 +10,8 @@ from experiments.builtin.canvas import Canvas, mixed, shaded, srgb
 from experiments.builtin.cloth import CLOSEST
 from experiments.builtin.face import Face
 from experiments.builtin.looks import Looks
-from experiments.builtin.noise import noise, smoothstep
+from experiments.builtin.noise import noise
+from synth.people.mesh import smoothstep
 
 Array = np.ndarray
 

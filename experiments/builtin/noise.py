@@ -1,4 +1,4 @@
-"""What surfaces and painters are drawn with: a soft step, and seeded noise, the same on every machine."""
+"""Seeded noise that surfaces and painters are drawn with, the same on every machine."""
 
 import numpy as np
 from jaxtyping import Float, UInt32
@@ -46,11 +46,3 @@ def fractal(points: Float[Array, "n 3"], seed: int, octaves: int) -> Float[Array
     for n in range(octaves):
         total += noise(points * 2**n + 17.3 * n, seed + n) * 0.5**n
     return total / (2 - 0.5 ** (octaves - 1))
-
-
-def smoothstep(
-    low: float | np.floating | Array, high: float | np.floating | Array, x: Float[Array, "*n"]
-) -> Float[Array, "*n"]:
-    """0 below `low`, 1 above `high`, smooth between; the other way round where low > high."""
-    t = np.clip((x - low) / (high - low), 0, 1)
-    return t * t * (3 - 2 * t)

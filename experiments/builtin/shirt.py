@@ -6,7 +6,8 @@ from jaxtyping import Float
 from experiments.builtin.canvas import Canvas, mixed, shaded, srgb, weave
 from experiments.builtin.hems import hem_height, sleeves
 from experiments.builtin.looks import Looks
-from experiments.builtin.noise import noise, smoothstep
+from experiments.builtin.noise import noise
+from synth.people.mesh import smoothstep
 
 Array = np.ndarray
 

@@ -10,8 +10,8 @@ from scipy.spatial import ConvexHull, KDTree
 from avatar.body import Body
 from experiments.builtin.dressed import SHOE, SOLE, Dressed, joined
 from experiments.builtin.hems import ankle_level
-from experiments.builtin.noise import smoothstep
 from experiments.builtin.refine import TexturedMesh, cut_along
+from synth.people.mesh import smoothstep
 
 Array = np.ndarray
 

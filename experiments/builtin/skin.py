@@ -7,7 +7,8 @@ from experiments.builtin.canvas import Canvas, mixed, shaded, spot, srgb
 from experiments.builtin.face import Face
 from experiments.builtin.features import head_skin
 from experiments.builtin.looks import Looks
-from experiments.builtin.noise import fractal, noise, smoothstep
+from experiments.builtin.noise import fractal, noise
+from synth.people.mesh import smoothstep
 
 Array = np.ndarray
 

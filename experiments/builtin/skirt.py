@@ -13,8 +13,9 @@ from experiments.builtin.canvas import Canvas, mixed, shaded, srgb, weave
 from experiments.builtin.dressed import SKIRT, Dressed, joined
 from experiments.builtin.hems import hem_height
 from experiments.builtin.looks import Looks
-from experiments.builtin.noise import noise, smoothstep
+from experiments.builtin.noise import noise
 from geometry.mesh import vertex_normals
+from synth.people.mesh import smoothstep
 
 Array = np.ndarray
 

@@ -6,18 +6,18 @@ there stays: the same command goes on where it stopped. OUT/rivals.json and OUT/
 and of those that rivals.json had: films and runs of finished people may be removed.
 """
 
-import argparse
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from command.command_line import Help, Option, parse
 from command.errors import AssetError
+from command.settings import Above, AtLeast, OneOf
 from command.stages import Stage, command, run_stages
 from experiments.claim import folder_of, person_and_sex, settle, stature_of
-from experiments.program import end_with, note
+from experiments.program import end_with, note, written
 from experiments.rivals.page import TITLES, page
 from experiments.rivals.sheet import write_sheet
 from experiments.rivals.train import TRAINED_HERE, steps_for
@@ -35,12 +35,24 @@ IMPORT, AROUND, BAKE, POSE = 8.0, 2.5, 3.0, 0.5
 class Options:
     """What decides the numbers; a folder holds those of one of them."""
 
-    seconds: float  # of the processor, of learning
-    size: str  # of the networks
-    pixels: int  # of the videos' sides
-    frames: int  # of each video
-    poses: int  # of each held-out set
-    light: str
+    seconds: Annotated[float, Above(0), "of the processor, of learning"] = 60.0
+    size: Annotated[str, OneOf(("demo", "paper")), "of the networks"] = "demo"
+    pixels: Annotated[int, AtLeast(1), "of the videos' sides"] = 256
+    frames: Annotated[int, AtLeast(1), "of each video"] = 24
+    poses: Annotated[int, AtLeast(1), "of each held-out set, which has 20"] = 20
+    light: Annotated[str, "of everything that is filmed"] = "soft"
+
+
+@dataclass(frozen=True)
+class RivalsCommand:
+    out: Annotated[Path, Option(("-o", "--out"), "OUT"), "gets rivals.json and README.md"]
+    options: Annotated[Options, "what decides the numbers"]
+    people: Annotated[tuple[str, ...], Option(positional=True, metavar="PERSON", several=True),
+        "builtin, builtin:female or a rigged .glb[:female] (default: builtin)"] = ("builtin",)
+    systems: Annotated[tuple[str, ...], OneOf(tuple(TITLES)), Option(several=True)] = tuple(TITLES)
+    inputs: Annotated[tuple[str, ...], OneOf(tuple(KINDS)), Option(several=True)] = ("given",)
+    seeds: Annotated[tuple[int, ...], Option(several=True)] = (0,)
+    sheet: Annotated[bool, "the sheet of pictures of the first person too"] = False
 
 
 def capture_stages(options: Options, person: str, kind: str, folder: Path) -> tuple[list[Stage], Path]:
@@ -128,9 +140,9 @@ def name_of(row: dict[str, Any]) -> tuple[str, str, int, str]:
     return row["person"], row["input"], row["seed"], row["system"]
 
 
-def run_all(options: Options, given: argparse.Namespace) -> list[str]:
+def run_all(given: RivalsCommand) -> list[str]:
     """Every row that was asked for; what could not be made, in words."""
-    absent, there = [], {name_of(row) for row in collect(given.out)}
+    options, absent, there = given.options, [], {name_of(row) for row in collect(given.out)}
     # the others take the head's place from ours
     systems = sorted(given.systems, key=list(TITLES).index)
     for person in given.people:
@@ -162,37 +174,16 @@ def report(out: Path, options: Options, absent: list[str]) -> None:
     write_text(out / "README.md", page(rows, asdict(options), absent, (out / "sheet.png").exists()))
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The command line."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.rivals", description=(__doc__ or "").split(":")[0])
-    parser.add_argument("people", metavar="PERSON", nargs="*", default=["builtin"],
-                        help="builtin, builtin:female or a rigged .glb[:female] (default: builtin)")  # fmt: skip
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="gets rivals.json and README.md")
-    parser.add_argument("--systems", nargs="+", choices=TITLES, default=list(TITLES))
-    parser.add_argument("--inputs", nargs="+", choices=KINDS, default=["given"])
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
-    parser.add_argument("--seconds", type=float, default=60.0, help="of the processor, of learning (default: 60)")
-    parser.add_argument("--size", choices=("demo", "paper"), default="demo", help="of the networks (default: demo)")
-    parser.add_argument("--pixels", type=int, default=256, help="of the videos' sides (default: 256)")
-    parser.add_argument("--frames", type=int, default=24, help="of each video (default: 24)")
-    parser.add_argument("--poses", type=int, default=20, help="of each held-out set (default: 20, all)")
-    parser.add_argument("--light", default="soft", help="of everything that is filmed (default: soft)")
-    parser.add_argument("--sheet", action="store_true", help="the sheet of pictures of the first person too")
-    given = parser.parse_args(argv)
-    for name in ("seconds", "pixels", "frames", "poses"):
-        if not getattr(given, name) > 0:
-            parser.error(f"--{name} should be positive, is {getattr(given, name)}")
-    options = Options(given.seconds, given.size, given.pixels, given.frames, given.poses, given.light)
-    settle(given.out, asdict(options))
-    absent = run_all(options, given)
+def main(argv: Sequence[str]) -> int:
+    given = parse(RivalsCommand, argv, Help("python -m experiments.rivals", (__doc__ or "").split(":")[0]))
+    options, out = given.options, given.out
+    settle(out, asdict(options))
+    absent = run_all(given)
     if given.sheet:
-        first = given.out / folder_of(given.people[0]) / given.inputs[0] / f"seed{given.seeds[0]}"
-        write_sheet(first, given.out / "sheet.png")
-    report(given.out, options, absent)
-    for line in absent:
-        print(f"not made: {line}", file=sys.stderr)
-    print(given.out / "README.md")
-    return 1 if absent else 0
+        first = out / folder_of(given.people[0]) / given.inputs[0] / f"seed{given.seeds[0]}"
+        write_sheet(first, out / "sheet.png")
+    report(out, options, absent)
+    return written(out / "README.md", absent, "made")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from avatar.texture import bytes_of
 from bench.field.drawer import Drawer
 from bench.field.posed_field import PosableSurface
 from bench.ladder.machine import commit, cpu_name
-from bench.report.contact import spread_poses, square_about
+from bench.ladder.rung_pictures import spread_poses
 from bench.score.fitted_poses import fitted_views
 from bench.score.picture_scores import Draw, PictureJudge, is_t_pose, score_images
 from bench.score.pose_distances import Placement, fitted_poses, same_poses
@@ -29,6 +29,7 @@ from bench.score.region_scores import regions_of
 from bench.score.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import read_subject
 from capture.held_out import SETS, HeldOutView, read_held_out, some_poses
+from experiments.contact_sheet import square_about
 from experiments.program import end_with
 from experiments.rivals import aninerf, anisdf, neuralbody
 from files.npz import read_npz
@@ -115,9 +116,9 @@ def scores(what: Judged, folder: Path, poses: int, fitted: tuple[Path, Path] | N
     out: dict[str, Any] = {}
     for name, true in views.items():
         judge = PictureJudge(truth, what.draw)
-        images = score_images(judge, true, f"{name} pictures", t_pose_apart=False, ours=ours[name])
+        images = score_images(judge, true, f"{name} pictures", ours[name])
         placements = same_poses(true) if fitted is None else fitted_poses(true, ours[name])
-        found = regions_of(distances(what, truth, placements), images.scored)
+        found = regions_of(distances(what, truth, placements), images)
         out[name] = {region: {key: found[region].get(key) for key in SCORES} for region in REGIONS}
     return out
 

@@ -157,7 +157,7 @@ def waves(points: Float[Array, "n d"], scale: Sequence[float], rng: np.random.Ge
     return np.sin(points @ direction.T + rng.uniform(0, 2 * np.pi, 12)).sum(1) / 4
 
 
-def smoothstep(low: float, high: float, x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def smoothstep(low: float | Array, high: float | Array, x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """0 below `low`, 1 above `high`, smooth between; the other way round where low > high."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)

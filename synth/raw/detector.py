@@ -110,12 +110,6 @@ class Detector:
             return None
         return np.concatenate([pixels, confidence[:, None]], 1)
 
-    def skip(self, frames: int) -> None:
-        """Pass over frames without detection."""
-        kept = KEPT**frames
-        self.lasting = kept * self.lasting + np.sqrt(1 - kept**2) * self.rng.standard_normal(self.lasting.shape)
-        self.exchanged_for = max(0, self.exchanged_for - frames)
-
     def write(self, path: Path, rows: Float[Array, "points 3"] | None) -> None:
         """A frame's file."""
         people = []

@@ -1,6 +1,5 @@
 """Filming the four raw videos, frame after frame, in constant memory."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -99,10 +98,10 @@ def taken(
     high = np.clip(np.ceil(pixels.max(0, initial=-np.inf)) + 1, 0, size).astype(int)
     (left, top), (width, height) = low.tolist(), (high - low).tolist()
     if min(width, height) > 0:
-        exposed = studio.expose(vertices, shots.camera.cropped(left, top, (width, height)), light, lit)
+        color, share = studio.expose(vertices, shots.camera.cropped(left, top, (width, height)), light, lit)
         window = np.s_[top : top + height, left : left + width]
-        picture[window] = exposed.color + (1 - exposed.coverage[..., None]) * picture[window]
-        coverage[window] = np.round(255 * exposed.coverage)
+        picture[window] = color + (1 - share[..., None]) * picture[window]
+        coverage[window] = np.round(255 * share)
     return picture, coverage
 
 
@@ -135,9 +134,3 @@ class _Lighting:
                 self.studio.posed(self.shots.steady[i], np.zeros(3)), self.light
             )
         return self.known[number]
-
-
-def write_truth(folder: Path, plan: dict[str, RawShots], facts: dict) -> None:
-    content = {"format": "selfscan-raw-truth", "rate": RATE, "mask_step": MASK_STEP, **facts}
-    content["frames"] = {part: len(shots.root) for part, shots in plan.items()}
-    (folder / "truth" / "raw.json").write_text(json.dumps(content, indent=1))

@@ -108,7 +108,7 @@ def test_frames_that_an_import_took_are_found_in_the_truth_and_in_its_world(impo
     run, facts, scan = imported
     found = filmed_poses(run, facts, scan)
     assert found.reason == ""
-    assert [p.truth.pose_index for p in found.some().by_part["hand_left"]] == TAKEN[[0, 1, 3, 4]].tolist()
+    assert [p.truth.pose_index for p in found.some()["hand_left"]] == TAKEN[[0, 1, 3, 4]].tolist()
     for part, placements in found.by_part.items():
         assert [placement.truth.pose_index for placement in placements] == TAKEN.tolist()
         for placement in placements:

@@ -112,7 +112,7 @@ def test_the_same_frame_is_shown_in_the_rung_and_its_difference(tab):
     assert page.ask("document.getElementById('best').src") != shown[0]
     assert page.ask("document.getElementById('difference').src") != apart
     page.wait("location.hash.includes('with=best')")
-    page.ask("document.querySelector('[data-part=head]').click()")
+    page.ask("document.querySelector('[data-key=head]').click()")
     assert "scale" in page.ask("document.getElementById('rung').style.transform")
 
 

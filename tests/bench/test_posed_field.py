@@ -66,10 +66,11 @@ def test_the_rungs_of_a_run_are_its_surface_and_its_volume(context, monkeypatch)
     monkeypatch.setattr("bench.field.rungs.read_run", lambda path: run)
     pose = np.zeros((52, 3)), np.zeros(3)
     camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, (48, 48))
-    surface, volume = field_rungs(context, run.path, [ComparedFrame(pose, camera, None)])
-    assert (surface.name, volume.name) == ("field, surface", "field, volume of 64")
-    assert len(surface.ms) == 3 and len(volume.ms) == 1 and min(*surface.ms, *volume.ms) > 0
-    assert surface.bytes == volume.bytes == 4000
+    volume, surface = field_rungs(context, run.path, [ComparedFrame(pose, camera, None)], 1.0)
+    assert (surface.row["name"], volume.row["name"]) == ("field, surface", "field, volume of 64")
+    for rung in (surface, volume):
+        assert rung.row["times_faster"] == pytest.approx(1 / rung.row["ms_median"], rel=1e-2, abs=2e-5)
+    assert surface.row["bytes"] == volume.row["bytes"] == 4000
     both = (surface.pictures[0].max(-1) > 0) & (volume.pictures[0].max(-1) > 0)
     assert both.sum() > 100
     assert np.median(np.abs(surface.pictures[0] - volume.pictures[0])[both]) < 0.02

@@ -9,8 +9,9 @@ from PIL import Image
 from bench.bench_command import bench_main
 from bench.ladder.rung_pictures import motion_frames
 from bench.ladder.rung_scores import mark_dominated, median_interval, part_boxes
-from bench.report.contact import LARGEST, WIDTH, contact_sheet, fitting_font, save_sheet, sheet
 from bench.report.rung_page import frontier_of, label_heights, points_of, trade_sentence
+from bench.report.sheet import LARGEST, WIDTH, fitting_font, save_sheet, sheet
+from experiments.contact_sheet import contact_sheet
 from player.budget.ladder import rungs_of
 from player.budget.rung import shown, with_halved_textures
 from player.scene.mannequin import mannequin

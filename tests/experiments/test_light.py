@@ -112,8 +112,7 @@ def _as_bright_as_its_light(light) -> Mock:
 
 @pytest.mark.parametrize("own", [None, CaptureLight(0.7, frame="world")])
 def test_a_field_is_lit_by_each_light_in_turn_and_then_as_it_was(monkeypatch, own):
-    region = SimpleNamespace(mask=np.ones((1, 1), bool))
-    monkeypatch.setattr("experiments.light_scores.region_of", lambda *_: region)
+    monkeypatch.setattr("experiments.light_scores.region_of", lambda *_: (np.ones((1, 1), bool),))
     monkeypatch.setattr("experiments.light_scores.turned_away", lambda *_: np.zeros((1, 1), bool))
     drawer = _as_bright_as_its_light("before")
     studio = Mock(spec=Studio, posed=lambda *_: np.zeros((3, 3)))

@@ -3,6 +3,7 @@
 import io
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -25,11 +26,14 @@ CLIP_FRAMES = 150
 MOST_HALVINGS = 3
 
 
+Picture = Float[np.ndarray, "height width 3"]
+
+
 class PagePictures(NamedTuple):
     """One frame: as each rung shows it, its truth where there is one, the person's rectangle, head and hands."""
 
-    by_rung: dict[str, Float[np.ndarray, "height width 3"]]
-    truth: Float[np.ndarray, "height width 3"] | None
+    by_rung: dict[str, Picture]
+    truth: Picture | None
     crop: tuple[slice, slice]
     parts: dict[str, tuple[slice, slice]]
 
@@ -37,53 +41,43 @@ class PagePictures(NamedTuple):
 def frontier_page(result: Json, pictures: PagePictures, avatar: Avatar, rungs: Sequence[Rung]) -> str:
     """The page. The avatar's textures are halved until it is no larger than a page may be; where that does not help, it
     says that it is without the avatar."""
-    blobs = picture_blobs(result, pictures)
-    draws = {rung.name: rung for rung in rungs}
+    compared_with = references(result, pictures)
+    # how the page draws a rung; None: only the program that measured it can
+    draws = {rung.name: {key: value for key, value in asdict(rung).items() if key != "name"} for rung in rungs}
     facts: Json = {
-        "result": {**result, "rungs": [{**row, "draw": drawn_by(draws.get(row["name"]))} for row in result["rungs"]]},
+        "result": {**result, "rungs": [{**row, "draw": draws.get(row["name"])} for row in result["rungs"]]},
         "picture": picture_facts(pictures),
-        "references": references(result, pictures),
+        "references": [reference for reference, _ in compared_with],
         "enlarged": ENLARGED,
         "columns": [column._asdict() for column in RUNG_COLUMNS],
         "player": None,
         "halvings": 0,
     }
-    text = _text(result, facts, blobs)
-    clip = motion_for(avatar, "counting").read(0, CLIP_FRAMES)
+    blobs = picture_blobs(result, pictures, compared_with)
+    title = f"{result['avatar']}: what accuracy costs in time"
+    written = partial(page_of, "bench.report.frontier", ["chart.js", "report.js"], title)
+    text, clip = written(blobs, facts), motion_for(avatar, "counting").read(0, CLIP_FRAMES)
     for halvings in range(MOST_HALVINGS + 1):
         player = packed_player(with_halved_textures(avatar, halvings), clip)
         if len(text) + player.bytes * 4 / 3 < MOST_BYTES - 200_000:
-            facts |= {"player": player.facts, "halvings": halvings}
-            return _text(result, facts, {**blobs, **player.blobs})
+            return written({**blobs, **player.blobs}, facts | {"player": player.facts, "halvings": halvings})
     return text
 
 
-def _text(result: Json, facts: Json, blobs: dict[str, bytes]) -> str:
-    title = f"{result['avatar']}: what accuracy costs in time"
-    return page_of("bench.report.frontier", ["chart.js", "report.js"], title, blobs, facts)
-
-
-def drawn_by(rung: Rung | None) -> Json | None:
-    """How the page draws a rung; None: only the program that measured it can."""
-    if rung is None:
-        return None
-    return {key: value for key, value in asdict(rung).items() if key != "name"}
-
-
-def references(result: Json, pictures: PagePictures) -> list[Json]:
+def references(result: Json, pictures: PagePictures) -> list[tuple[Json, Picture]]:
     """What rungs are compared with, first what the page begins with: true pictures where there are any; the best that
     the player draws, since an avatar's textures may be better than its field's; the field. `scores`: where a row holds
     them, None: the row itself does."""
     names = [row["name"] for row in result["rungs"]]
-    best, baked = result["best_rung"], result["best_baked_rung"]
-    found: list[Json] = []
+    found: list[tuple[Json, Picture]] = []
     if pictures.truth is not None:
-        found.append({"key": "truth", "scores": "against_truth", "name": "true picture", "picture": "truth"})
-    if best != baked:
-        found.append(
-            {"key": "baked", "scores": "against_baked", "name": baked, "picture": f"picture{names.index(baked)}"}
-        )
-    found.append({"key": "best", "scores": None, "name": best, "picture": f"picture{names.index(best)}"})
+        true = {"key": "truth", "scores": "against_truth", "name": "true picture", "picture": "truth"}
+        found.append((true, pictures.truth))
+    best, baked = result["best_rung"], result["best_baked_rung"]
+    for key, scores, name in (("baked", "against_baked", baked), ("best", None, best)):
+        if key == "best" or best != baked:
+            facts = {"key": key, "scores": scores, "name": name, "picture": f"picture{names.index(name)}"}
+            found.append((facts, pictures.by_rung[name]))
     return found
 
 
@@ -98,29 +92,23 @@ def picture_facts(pictures: PagePictures) -> Json:
     return {"size": size, "boxes": boxes}
 
 
-def picture_blobs(result: Json, pictures: PagePictures) -> dict[str, bytes]:
+def picture_blobs(
+    result: Json, pictures: PagePictures, compared_with: Sequence[tuple[Json, Picture]]
+) -> dict[str, bytes]:
     """The frame in each rung, and how it differs from what it is compared with, as WebP: to look at, nothing is
     measured on them."""
     crop, blobs = pictures.crop, {}
-    compared_with = {
-        "baked": pictures.by_rung[result["best_baked_rung"]],
-        "best": pictures.by_rung[result["best_rung"]],
-    }
-    if pictures.truth is not None:
-        compared_with["truth"] = pictures.truth
     for number, row in enumerate(result["rungs"]):
         shown = pictures.by_rung[row["name"]][crop]
         blobs[f"picture{number}"] = webp(shown)
-        for reference in references(result, pictures):
-            other = compared_with[reference["key"]][crop]
-            blobs[f"difference-{reference['key']}-{number}"] = webp(ENLARGED * np.abs(shown - other))
+        for reference, other in compared_with:
+            blobs[f"difference-{reference['key']}-{number}"] = webp(ENLARGED * np.abs(shown - other[crop]))
     if pictures.truth is not None:
-        blobs["truth"] = webp(pictures.truth[pictures.crop])
+        blobs["truth"] = webp(pictures.truth[crop])
     return blobs
 
 
-def webp(picture: Float[np.ndarray, "height width 3"]) -> bytes:
+def webp(picture: Picture) -> bytes:
     out = io.BytesIO()
-    image = Image.fromarray(bytes_of(picture))
-    image.save(out, "WEBP", quality=90, method=4)
+    Image.fromarray(bytes_of(picture)).save(out, "WEBP", quality=90, method=4)
     return out.getvalue()

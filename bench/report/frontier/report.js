@@ -16,20 +16,22 @@ function marked(rows) {
   return rows.map((row) => ({ ...row, dominated: rows.some((other) => other.high < row.low && other.flip <= row.flip) }));
 }
 
+function made(kind, textContent) {
+  return Object.assign(document.createElement(kind), { textContent });
+}
+
 class Report {
   constructor(facts) {
     this.facts = facts;
     const words = new URLSearchParams(location.hash.slice(1));
     this.reference = facts.references.find(({ key }) => key === words.get("with")) || facts.references[0];
-    this.refer();
     // by name: {ms, low, high} on this device
     this.here = new Map();
     this.times = "there";
     this.part = words.get("part") in PARTS ? words.get("part") : "whole";
     this.chart = new Chart(find("chart"), (row) => this.setBudget(row.ms, row), (row, event) => this.tooltip(row, event));
-    this.chart.reference = this.reference.name;
+    this.refer();
     this.provenance();
-    this.images = new Map();
     this.controls();
     // whether the reader chose the budget
     this.asked = Number(words.get("budget")) > 0;
@@ -55,7 +57,7 @@ class Report {
     })).filter((row) => key !== "baked" || row.draw);
     // none where it is a true picture
     this.best = this.all.find((row) => row.name === name) || null;
-    this.chart && (this.chart.reference = name);
+    this.chart.reference = name;
   }
 
   // Rows as timed by the bench machine or here, with where the other had them.
@@ -116,24 +118,14 @@ class Report {
       parts.push(`From true pictures it is FLIP ${row.against_truth.flip.toFixed(3)} away, ${reference.name} ${this.best.against_truth.flip.toFixed(3)}. `);
     const next = rows.filter((other) => other.flip < row.flip && !other.dominated && other.ms > row.ms).sort((a, b) => a.ms - b.ms)[0];
     if (next) parts.push(`The next better one, ${next.name}, costs ${milliseconds(next.ms - row.ms)} ms more.`);
-    find("answer").replaceChildren(...parts.map((part) => {
-      if (typeof part === "string") return part;
-      const made = document.createElement(part[0]);
-      made.textContent = part[1];
-      return made;
-    }));
-  }
-
-  // A picture of the page by the id of its bytes.
-  source(name) {
-    if (!this.images.has(name)) this.images.set(name, `data:image/webp;base64,${find(name).textContent.trim()}`);
-    return this.images.get(name);
+    find("answer").replaceChildren(...parts.map((part) => (typeof part === "string" ? part : made(...part))));
   }
 
   compare() {
     const { row, reference } = this;
     const shown = { best: reference.picture, rung: `picture${row.number}`, difference: `difference-${reference.key}-${row.number}` };
-    for (const [place, name] of Object.entries(shown)) find(place).src = this.source(name);
+    // pictures of the page, by the ids of their bytes
+    for (const [place, name] of Object.entries(shown)) find(place).src = `data:image/webp;base64,${find(name).textContent.trim()}`;
     find("best-name").textContent = `compared with: ${reference.name}`;
     find("rung-name").textContent = row.name;
     this.zoom();
@@ -150,9 +142,8 @@ class Report {
       image.style.transform = `scale(${scale}) translate(${(-100 * x) / width}%, ${(-100 * y) / height}%)`;
       image.classList.toggle("near", Boolean(named));
     }
-    for (const button of find("references").children)
-      button.setAttribute("aria-pressed", String(button.dataset.key === this.reference.key));
-    for (const button of find("parts").children) button.setAttribute("aria-pressed", String(button.dataset.part === this.part));
+    for (const [place, key] of [["parts", this.part], ["references", this.reference.key]])
+      for (const button of find(place).children) button.setAttribute("aria-pressed", String(button.dataset.key === key));
   }
 
   tooltip(row, event) {
@@ -167,34 +158,33 @@ class Report {
     lines.push(`${(row.bytes / 1e6).toFixed(0)} MB of graphics memory`);
     if (row.ghost) lines.push(`${milliseconds(row.ghost)} ms on the machine of the bench`);
     if (row.dominated) lines.push(`dominated${row.dominated_by && this.times === "there" ? ` by ${row.dominated_by}` : ""}`);
-    tip.replaceChildren(...lines.map((line) => Object.assign(document.createElement("div"), { textContent: line })));
+    tip.replaceChildren(...lines.map((line) => made("div", line)));
   }
 
   controls() {
-    find("budget").addEventListener("input", (event) => {
-      this.asked = true;
-      this.setBudget(this.low * (this.high / this.low) ** (event.target.value / 1000));
-    });
-    find("spent").addEventListener("input", (event) => {
-      const budget = Number(event.target.value);
+    const ask = (budget) => {
       if (!(budget > 0)) return;
       this.asked = true;
       this.setBudget(budget);
-    });
-    find("parts").append(...Object.keys(PARTS).filter((part) => part === "whole" || this.has(part)).map((part) => {
-      const button = Object.assign(document.createElement("button"), { textContent: PARTS[part] });
-      button.dataset.part = part;
-      button.addEventListener("click", () => { this.part = part; this.zoom(); this.remember(); });
-      return button;
-    }));
-    find("references").hidden = this.facts.references.length < 2;
-    find("references").append(...this.facts.references.map((reference) => {
-      const button = Object.assign(document.createElement("button"), { textContent: `compared with ${reference.name}` });
-      button.dataset.key = reference.key;
-      button.addEventListener("click", () => this.compareWith(reference));
-      return button;
-    }));
-    const { size: [width, height] } = this.facts.picture;
+    };
+    const button = (text, key, act) => {
+      const one = made("button", text);
+      one.dataset.key = key;
+      one.addEventListener("click", () => { act(); this.remember(); });
+      return one;
+    };
+    const { size: [width, height], boxes } = this.facts.picture, { references } = this.facts;
+    const parts = { whole: true, head: "head" in boxes, hands: "hand_left" in boxes || "hand_right" in boxes };
+    find("budget").addEventListener("input", ({ target }) => ask(this.low * (this.high / this.low) ** (target.value / 1000)));
+    find("spent").addEventListener("input", ({ target }) => ask(Number(target.value)));
+    find("parts").append(...Object.keys(PARTS).filter((part) => parts[part]).map((part) => (
+      button(PARTS[part], part, () => { this.part = part; this.zoom(); }))));
+    find("references").hidden = references.length < 2;
+    find("references").append(...references.map((reference) => button(`compared with ${reference.name}`, reference.key, () => {
+      this.reference = reference;
+      this.refer();
+      this.show(this.times);
+    })));
     // as wide as the column, unless it would be higher than 62 % of the window: both keep the picture's shape
     for (const box of document.querySelectorAll(".picture"))
       Object.assign(box.style, { aspectRatio: `${width} / ${height}`, width: `min(100%, ${(62 * width) / height}vh)` });
@@ -202,18 +192,6 @@ class Report {
     if (halvings) find("live-name").textContent += `; textures at 1/${2 ** halvings} of their sides, to fit this page`;
     find("difference-name").textContent = `difference, ${this.facts.enlarged} times enlarged`;
     for (const name of ["there", "here"]) find(name).addEventListener("click", () => this.show(name));
-  }
-
-  compareWith(reference) {
-    this.reference = reference;
-    this.refer();
-    this.show(this.times);
-    this.remember();
-  }
-
-  has(part) {
-    const { boxes } = this.facts.picture;
-    return part === "head" ? "head" in boxes : "hand_left" in boxes || "hand_right" in boxes;
   }
 
   show(times) {
@@ -232,17 +210,17 @@ class Report {
     const number = (value, digits = 2, scale = 1) => (value === null || value === undefined ? "" : (scale * value).toFixed(digits));
     const held = (row, path) => path.reduce((value, key) => value && value[key], row);
     const line = (cells, kind) => {
-      const made = document.createElement("tr");
-      made.append(...cells.map((cell) => Object.assign(document.createElement(kind), { textContent: cell })));
-      return made;
+      const row = made("tr", "");
+      row.append(...cells.map((cell) => made(kind, cell)));
+      return row;
     };
     const rows = this.all.map((row) => {
       const here = this.here.get(row.name);
-      const made = line([row.name, `${number(row.ms_median)} (${number(row.low)} to ${number(row.high)})`, number(here && here.ms),
+      const shown = line([row.name, `${number(row.ms_median)} (${number(row.low)} to ${number(row.high)})`, number(here && here.ms),
         ...columns.map(({ path, digits, scale }) => number(held(row, path), digits, scale)),
         row.dominated ? `dominated by ${row.dominated_by}` : ""], "td");
-      made.addEventListener("click", () => this.setBudget((this.chart.rows.find((own) => own.name === row.name) || row).ms * 1.0001, row));
-      return made;
+      shown.addEventListener("click", () => this.setBudget((this.chart.rows.find((own) => own.name === row.name) || row).ms * 1.0001, row));
+      return shown;
     });
     const titles = line(head, "th");
     for (const { title, better } of columns) if (better) titles.children[head.indexOf(title)].title = `${better} is better`;

@@ -1,6 +1,6 @@
 """`make demo`: the whole path on the built-in person, from four synthetic videos to a film of the avatar.
 
-    python -m bench.demo out/demo
+    python -m experiments.demo out/demo
 
 The person shines a little (`synth --sheen`): what is seen depends on from where, the avatar gets a view network
 and the film, whose camera goes round, shows it. Stages run in order, each says its name, its share of the
@@ -9,13 +9,13 @@ stopped; once a stage has run anew, all after it run anew as well.
 """
 
 import argparse
-import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from avatar.gltf.avatar_file import read_avatar
-from command.errors import AssetError
 from command.stages import Stage, command, run_stages
+from experiments.program import end_with
 from files.whole import write_text
 
 # strength of the shine that depends on the view, and pixels of the videos' sides
@@ -56,34 +56,16 @@ def stages(out: Path) -> list[Stage]:
     resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
     # without --run: volumes of the field take most of a minute a frame, and a true picture is at hand
     measured = ["--capture", capture, "--frames", "2", "--rounds", "20"]
-    filmed = ["--size", str(SIZE), "--sheen", str(SHEEN), "--truth-every", "3"]
+    report, sheet, selfscan = out / "report", out / "contact.png", partial(command, "selfscan")
+    filmed = selfscan("synth", "builtin", capture, "--size", str(SIZE), "--sheen", str(SHEEN), "--truth-every", "3")
+    trained = selfscan("train", capture, "-o", run, "--preset", "demo", *resume)
     return [
-        Stage(
-            "synthesise four videos",
-            capture / "capture.json",
-            command("selfscan", "synth", "builtin", capture, *filmed),
-            1.2,
-        ),
-        Stage(
-            "train four part fields",
-            run / "run.json",
-            command("selfscan", "train", capture, "-o", run, "--preset", "demo", *resume),
-            5.0,
-        ),
-        Stage("bake the avatar", avatar, command("selfscan", "bake", run, "-o", avatar, "--capture", capture), 1.5),
+        Stage("synthesise four videos", capture / "capture.json", filmed, 1.2),
+        Stage("train four part fields", run / "run.json", trained, 5.0),
+        Stage("bake the avatar", avatar, selfscan("bake", run, "-o", avatar, "--capture", capture), 1.5),
         Stage("film", out / "avatar.mp4", film(avatar, out / "film.toml", out / "avatar.mp4"), 0.5),
-        Stage(
-            "contact sheet",
-            out / "contact.png",
-            command("bench.report.contact", run, avatar, capture, "-o", out / "contact.png"),
-            0.7,
-        ),
-        Stage(
-            "accuracy against time",
-            out / "report" / "bench.json",
-            command("selfscan", "bench", avatar, "-o", out / "report", *measured),
-            1.0,
-        ),
+        Stage("contact sheet", sheet, command("experiments.contact_sheet", run, avatar, capture, "-o", sheet), 0.7),
+        Stage("accuracy against time", report / "bench.json", selfscan("bench", avatar, "-o", report, *measured), 1.0),
     ]
 
 
@@ -107,20 +89,13 @@ def summary(out: Path, seconds: dict[str, float]) -> list[str]:
     ]
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the demo; 0, or 1 where a stage failed."""
-    parser = argparse.ArgumentParser(prog="python -m bench.demo", description="The whole path on the built-in person.")
+def main(argv: list[str]) -> None:
+    parser = argparse.ArgumentParser("python -m experiments.demo", description="The whole path on the built-in person.")
     parser.add_argument("out", type=Path, nargs="?", default=Path("out/demo"), help="folder (%(default)s)")
-    options = parser.parse_args(argv)
-    options.out.mkdir(parents=True, exist_ok=True)
-    try:
-        seconds = run_stages(stages(options.out))
-    except AssetError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print("\n" + "\n".join(summary(options.out, seconds)))
-    return 0
+    out = parser.parse_args(argv).out
+    out.mkdir(parents=True, exist_ok=True)
+    print("\n" + "\n".join(summary(out, run_stages(stages(out)))))
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    end_with(main)

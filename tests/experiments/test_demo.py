@@ -1,21 +1,13 @@
-"""The demo keeps what is complete and goes on where it stopped; what each effect costs."""
+"""The demo keeps what is complete and goes on where it stopped."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from tiny_avatar import tiny_avatar, tiny_face
 
 from avatar.gltf.avatar_file import write_avatar
-from bench.bench_command import BENCH, BenchCommand
-from bench.demo import SCENE, film, stages, summary
-from bench.ladder import effects
-from command.command_line import parse
 from command.errors import AssetError
-from command.settings import settings_of
 from command.stages import Stage, run_stages
-from player.scene.effects import Effects
+from experiments.demo import SCENE, film, stages, summary
 from player.scene.mannequin import mannequin
 from player.scene.scene_file import read_scene
 
@@ -65,7 +57,7 @@ def test_the_person_calls_for_a_view_network_and_the_report_has_intervals(tmp_pa
         commands.append([str(word) for word in words])
         return lambda: 0
 
-    monkeypatch.setattr("bench.demo.command", command)
+    monkeypatch.setattr("experiments.demo.command", command)
     stages(tmp_path)
     synth, _, bake, _, bench = commands
     assert float(synth[synth.index("--sheen") + 1]) > 0
@@ -74,39 +66,10 @@ def test_the_person_calls_for_a_view_network_and_the_report_has_intervals(tmp_pa
 
 
 def test_the_film_is_a_scene_that_shows_the_view_mode_of_the_avatar(tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.demo.command", lambda *words: lambda: 0)
+    monkeypatch.setattr("experiments.demo.command", lambda *words: lambda: 0)
     avatar = mannequin()
     write_avatar(tmp_path / "avatar.glb", avatar)
     film(tmp_path / "avatar.glb", tmp_path / "film.toml", tmp_path / "avatar.mp4")()
     scene = read_scene(tmp_path / "film.toml")
     assert scene.effects.view == avatar.default_view == "network"
     assert "orbit" in (tmp_path / "film.toml").read_text() and "antialiasing" in SCENE
-
-
-def test_every_effect_is_timed_alone_and_together_and_the_command_needs_one():
-    names = {case.name for case in effects.cases(tiny_avatar())}
-    assert {case.name for case in effects.cases(tiny_face())} - names == {"a face at rest", "a face: 8 shapes and gaze"}
-    assert {s.name.replace("_", " ") for s in settings_of(Effects) if s.table is not None} <= names
-    everything = effects.cases(tiny_avatar())[-1].effects
-    assert all(getattr(everything, s.name) is not None for s in settings_of(Effects) if s.table is not None)
-    assert parse(BenchCommand, ["--effects", "-o", "x"], BENCH).avatar is None
-    with pytest.raises(ValueError, match="give AVATAR or --effects"):
-        BenchCommand(Path("x"))
-    with pytest.raises(ValueError, match="leave --effects out"):
-        BenchCommand(Path("x"), effects=True, run=Path("run"))
-
-
-def test_the_table_has_what_ran_and_what_it_holds(tmp_path, monkeypatch):
-    chosen = [case for case in effects.cases(tiny_avatar()) if case.name in ("ground", "motion blur")]
-    monkeypatch.setattr(effects, "cases", lambda avatar: chosen)
-    result = effects.bench_effects(tiny_avatar(), tmp_path / "out", rounds=1, size=(64, 64))
-    written = json.loads((tmp_path / "out" / "effects.json").read_text())
-    assert written["effects"] == result["effects"] and (tmp_path / "out" / "effects.png").stat().st_size > 1000
-    rows = {row["name"]: row for row in written["effects"]}
-    assert all(row["ms"] > 0 and row["times_bare"] > 0 and row["cpu_times_bare"] > 0 for row in rows.values())
-    assert (
-        rows["ground"]["ran"] == ["ground: floor", "ground: mask", "ground: shadow"] and rows["ground"]["passes"] == 3
-    )
-    assert rows["motion blur"]["bytes"] == 0 < rows["ground"]["bytes"]
-    page = (tmp_path / "out" / "effects.md").read_text()
-    assert all(f"| {name} |" in page for name in rows)
