@@ -347,12 +347,9 @@ def register_head(subject: CaptureSubject, fields: Sequence[PartField], anchors:
     if head.arrived.sum() < 100 or body.arrived.sum() < 100:
         raise ValueError("head registration: the head or body field has no surface near the template's head")
     return refine_by_surfaces(
-        head.points[head.arrived],
-        body.points[body.arrived],
-        body.normals[body.arrived],
-        source_normals=head.normals[head.arrived],
-        anchors=anchors,
-    )
+        head.points[head.arrived], body.points[body.arrived], body.normals[body.arrived],
+        source_normals=head.normals[head.arrived], anchors=anchors,
+    )  # fmt: skip
 
 
 def place_on_video(

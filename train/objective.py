@@ -242,14 +242,9 @@ def losses(
         on = mask > 0.5
         error = (drawn.color - observed)[on].square().mean() if on.any() else torch.tensor(1.0)
         return StepReport(
-            loss=loss.item(),
-            color=L_rgb.item(),
-            mask=L_mask.item(),
-            eikonal=L_E.item(),
-            displacement=L_nr.item(),
-            extra=0.0 if L_extra is None else L_extra.item(),
-            psnr=decibels(max(error.item(), 1e-10)),
+            loss=loss.item(), color=L_rgb.item(), mask=L_mask.item(), eikonal=L_E.item(), displacement=L_nr.item(),
+            extra=0.0 if L_extra is None else L_extra.item(), psnr=decibels(max(error.item(), 1e-10)),
             slope=drawn.gradient.norm(dim=-1).mean().item(),
-        )
+        )  # fmt: skip
 
     return loss, report
