@@ -41,15 +41,9 @@ class Unwrapped(NamedTuple):
 
 
 def unwrap(
-    vertices: Float[Array, "vertices 3"],
-    faces: Integer[Array, "faces 3"],
-    face_part: Integer[Array, "faces"],
-    density: Float[Array, "parts"],
-    *,
-    size: int,
-    padding: int,
-    seconds: float = 120.0,
-) -> Unwrapped:
+    vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"], face_part: Integer[Array, "faces"],
+    density: Float[Array, "parts"], *, size: int, padding: int, seconds: float = 120.0,
+) -> Unwrapped:  # fmt: skip
     """Texture coordinates of a mesh in one square atlas.
 
     density multiplies a part's texels per metre. padding is the gutter between charts, in texels of `size`.
@@ -85,12 +79,12 @@ def unwrap(
             last = (done.stderr.strip().splitlines() or ["no message"])[-1]
             raise AssetError(f"atlas: the unwrapper failed with status {done.returncode}: {last}")
         data = read_npz(found, "unwrapped triangles", Unwrapped._fields)
-    charts, utilisation = int(data["charts"]), float(data["utilisation"])
-    uv = data["uv"].astype(np.float64)
-    result = Unwrapped(data["source"], uv, data["faces"], data["face_part"], charts, utilisation)
-    if len(result.faces) != len(faces):
-        raise AssetError(f"atlas: {len(faces)} triangles went in and {len(result.faces)} came out")
-    return result
+    if len(data["faces"]) != len(faces):
+        raise AssetError(f"atlas: {len(faces)} triangles went in and {len(data['faces'])} came out")
+    return Unwrapped(
+        data["source"], data["uv"].astype(np.float64), data["faces"], data["face_part"], int(data["charts"]),
+        float(data["utilisation"]),
+    )  # fmt: skip
 
 
 def pack(vertices: Array, faces: Array, face_part: Array, density: Array, size: int, padding: int) -> Unwrapped:

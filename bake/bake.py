@@ -18,10 +18,9 @@ from avatar.skeleton import BIG_POSE, PARTS
 from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
-from bake.cores import one_thread
 from bake.face.face import with_face
 from bake.face.template import FaceRefused, person_face
-from bake.field import NumpyField, numpy_field
+from bake.field import NumpyField, numpy_field, one_thread
 from bake.layers import SurfaceLayer, collapsed, extract_layers, layered_data, layers_of
 from bake.level import (
     BakedLevel,
@@ -59,6 +58,7 @@ from command.errors import AssetError
 from command.workers import on_all_cores
 from geometry.isosurface import Extraction, GridSteps
 from geometry.mesh import TriangleMesh, enclosed_volume
+from train.part_job import BROKEN_OFF, BROKEN_SHARE
 from train.run import BakeSource, read_run
 from train.surface import Surface
 
@@ -88,18 +88,15 @@ def bake(
 
 @one_thread()
 def bake_run(
-    run: BakeSource,
-    out: Path,
-    options: BakeOptions,
-    report: Callable[[str], None] = print,
+    run: BakeSource, out: Path, options: BakeOptions, report: Callable[[str], None] = print,
     videos: RunVideos | None = None,
-) -> Avatar:
+) -> Avatar:  # fmt: skip
     """As `bake`, for a run already read; without `videos` the textures are the field's."""
     if videos is None:
         options = replace(options, texture_from="field")
     clock = _Clock(report)
-    joints = np.asarray(run.subject.joints, np.float64)
-    origin = run_surface(run.surface, len(joints))
+    joints = run.subject.joints
+    origin = run_surface(run.surface)
     field, layers, extraction, given_up = extracted(run, origin, options, clock)
     baked = bake_levels(extraction, layers, origin, field, joints, options, clock)
     levels, distilled = [loosened(level, run.subject) for level in baked.levels], baked.distilled
@@ -107,7 +104,12 @@ def bake_run(
         "faces": options.faces,
         "texture": options.texture,
         "seed": options.seed,
-        "surface": surface_facts(extraction),
+        "surface": {
+            "triangles": len(extraction.mesh.faces),
+            "residual_mm": rounded(extraction.residual * 1e3),
+            "islands_dropped": extraction.islands,
+            "island_area_share": rounded(extraction.island_area),
+        },
         "template_kept": given_up,
         "seen_share": rounded(float((origin.cone.seen > 0.5).mean())),
         "texture_from": options.texture_from,
@@ -115,21 +117,17 @@ def bake_run(
         "missed": [],
     }
     avatar = Avatar(
-        name=str(run.provenance.get("subject", out.stem)),
-        joint_positions=joints,
-        canonical_pose=np.asarray(BIG_POSE, np.float64),
-        levels=tuple(level.level for level in levels),
-        network=distilled.network,
-        linear=distilled.linear,
-        amplitude=AMPLITUDE,
-        default_view=distilled.default_view,
-        provenance={**run.provenance, "baked": facts},
-        light=avatar_light(run.world_light, run.provenance),
-    )
+        name=str(run.provenance.get("subject", out.stem)), joint_positions=joints,
+        canonical_pose=np.asarray(BIG_POSE, np.float64), levels=tuple(level.level for level in levels),
+        network=distilled.network, linear=distilled.linear, amplitude=AMPLITUDE, default_view=distilled.default_view,
+        provenance={**run.provenance, "baked": facts}, light=avatar_light(run.world_light, run.provenance),
+    )  # fmt: skip
     with ThreadPoolExecutor(1) as beside:
         # with the field's own textures, whatever the file will hold
         views = measure.test_views(joints, options.image)
-        comparing = beside.submit(measure.compare, avatar, field_surface(run, origin, field), views)
+        whole, skin = TriangleMesh(origin.vertices, origin.faces), strongest_four(origin.weights)
+        surface = measure.FieldSurface(whole, run.surface.normals, skin, origin.cone, joints, field)
+        comparing = beside.submit(measure.compare, avatar, surface, views)
         if videos is not None:
             change = view_change(field, levels[0].charted, distilled)
             levels, facts["videos"] = with_video_textures(levels, baked.places, joints, videos, clock.report, change)
@@ -146,15 +144,6 @@ def bake_run(
     if "face" not in options.without:
         avatar = faced(avatar, run.subject, clock)
     return written(avatar, out, facts, options, clock)
-
-
-def surface_facts(extraction: Extraction) -> Facts:
-    return {
-        "triangles": len(extraction.mesh.faces),
-        "residual_mm": rounded(extraction.residual * 1e3),
-        "islands_dropped": extraction.islands,
-        "island_area_share": rounded(extraction.island_area),
-    }
 
 
 class Extracted(NamedTuple):
@@ -255,39 +244,29 @@ def avatar_light(light: CaptureLight | None, provenance: Facts) -> CaptureLight 
     return light.turned(matrix_from_axis_angle(np.array([0.0, -heading, 0.0])), "world")
 
 
-def run_surface(surface: Surface, joint_count: int) -> SourceSurface:
-    """The run's surface in double precision, its triangles facing outwards, and its view statistics as cones."""
-    vertices = np.asarray(surface.vertices, np.float64)
-    faces = np.asarray(surface.faces, np.int64)
+def run_surface(surface: Surface) -> SourceSurface:
+    """The run's surface, its triangles facing outwards, and its view statistics as cones."""
+    vertices, faces = surface.vertices, surface.faces
     if enclosed_volume(TriangleMesh(vertices, faces)) < 0:
         # only the normals of a run's surface are promised to face outwards
         faces = faces[:, ::-1]
-    cone = view_cone(
-        np.asarray(surface.view_count, np.float64),
-        np.asarray(surface.view_mean, np.float64),
-        np.asarray(surface.view_covariance, np.float64),
-        np.asarray(surface.normals, np.float64),
-        faces,
+    count, mean, covariance = (
+        values.astype(np.float64) for values in (surface.view_count, surface.view_mean, surface.view_covariance)
     )
-    weights = dense_weights(surface.skin, joint_count)
-    layer = np.asarray(surface.layer, np.int64)
-    return SourceSurface(vertices, faces, np.asarray(surface.part, np.int64), cone, weights, layer)
+    cone = view_cone(count, mean, covariance, surface.normals, faces)
+    return SourceSurface(vertices, faces, surface.part, cone, dense_weights(surface.skin), surface.layer)
 
 
 def broken_parts(
-    mesh: TriangleMesh,
-    vertices: Float[np.ndarray, "vertices 3"],
-    part: Integer[np.ndarray, "vertices"],
-    limit: float = 0.03,
+    mesh: TriangleMesh, vertices: Float[np.ndarray, "vertices 3"], part: Integer[np.ndarray, "vertices"]
 ) -> dict[str, str]:
-    """The parts of a run's surface of which more than a tenth lies farther than `limit` metres from the mesh, with why
-    they count as broken off."""
+    """The parts of a run's surface that lie off the mesh, with why they count as broken off (train/part_job.py)."""
     away, _ = KDTree(mesh.vertices).query(vertices, workers=-1)
-    missing = {PARTS[int(label)]: float((away[part == label] > limit).mean()) for label in np.unique(part)}
+    missing = {PARTS[int(label)]: float((away[part == label] > BROKEN_OFF).mean()) for label in np.unique(part)}
     return {
-        name: f"{share * 100:.0f} % of {name} is more than {limit * 100:.0f} cm from the largest piece"
+        name: f"{share * 100:.0f} % of {name} is more than {BROKEN_OFF * 100:.0f} cm from the largest piece"
         for name, share in missing.items()
-        if share > 0.1
+        if share > BROKEN_SHARE
     }
 
 
@@ -306,14 +285,9 @@ class BakedLevels(NamedTuple):
 
 
 def bake_levels(
-    extraction: Extraction,
-    layers: list[SurfaceLayer],
-    origin: SourceSurface,
-    field: NumpyField,
-    joints: Float[np.ndarray, "52 3"],
-    options: BakeOptions,
-    clock: "_Clock",
-) -> BakedLevels:
+    extraction: Extraction, layers: list[SurfaceLayer], origin: SourceSurface, field: NumpyField,
+    joints: Float[np.ndarray, "52 3"], options: BakeOptions, clock: "_Clock",
+) -> BakedLevels:  # fmt: skip
     """All levels: the field colors the finest, whose picture and features the others show as well.
 
     The edges of charts are closed where the textures stay the field's; else they are in the videos' equations.
@@ -332,14 +306,10 @@ def bake_levels(
         points = surface_points(field, surface, data, options)
         return distil(field.color, points, seed=options.seed, steps=options.steps, report=clock.report)
 
-    def leveled(one: tuple[LayeredMesh, TransferredData, int]) -> BakedLevel:
-        surface, data, size = one
-        return bake_level(surface, data, field, size, options)
-
     levels: list[BakedLevel] = []
     with ThreadPoolExecutor(1) as beside:
         distilling = beside.submit(distilled_finest)
-        for level in on_all_cores(leveled, surfaces):
+        for level in on_all_cores(lambda one: bake_level(*one, field, options), surfaces):
             facts = level.facts
             clock(
                 f"level {len(levels)}: {facts['faces']} triangles, {facts['charts']} charts in {facts['texture']} px, "
@@ -378,19 +348,6 @@ def field_atlas(
     return half, texels, enlarged(field_picture(field, finest, half, 1), texels)
 
 
-def field_surface(run: BakeSource, origin: SourceSurface, field: NumpyField) -> measure.FieldSurface:
-    """The run's field on the run's own mesh, `origin`."""
-    return measure.FieldSurface(
-        TriangleMesh(origin.vertices, origin.faces),
-        np.asarray(run.surface.normals, np.float64),
-        strongest_four(origin.weights),
-        origin.cone,
-        np.asarray(run.subject.joints, np.float64),
-        field.distance,
-        field.color,
-    )
-
-
 def field_facts(score: measure.BakeScore, options: BakeOptions, clock: "_Clock") -> Facts:
     """What baking lost, in decibels, as the file's provenance says it."""
     worst = min(score.per_view, key=lambda name: score.per_view[name])
@@ -401,25 +358,17 @@ def field_facts(score: measure.BakeScore, options: BakeOptions, clock: "_Clock")
     for mode, db in score.view_db.items():
         apart = ", ".join(f"{group.replace('_', ' ')}s {one[mode]:.1f}" for group, one in score.group_db.items())
         clock.report(f"  cone field against {mode}: {db:.1f} dB ({apart})")
+    # paper mode against the paper field, each mode against the cone field
+    decibels = lambda paper, db: {
+        "paper_db": rounded(paper), "cone_db": {mode: rounded(db[mode]) for mode in db if mode != "paper"},
+    }  # fmt: skip
     return {
         "pixels": score.pixels,
         "image": options.image,
         "per_view_db": {k: rounded(v) for k, v in score.per_view.items()},
-        **score_json(score),
+        **decibels(score.paper_db, score.view_db),
+        **{group: decibels(one["paper"], one) for group, one in score.group_db.items()},
     }
-
-
-def score_json(score: measure.BakeScore) -> Facts:
-    """A score as the file holds it: dB of paper mode against the paper field, of each mode against the cone field."""
-    groups = {
-        group: {
-            "paper_db": rounded(one["paper"]),
-            "cone_db": {mode: rounded(db) for mode, db in one.items() if mode != "paper"},
-        }
-        for group, one in score.group_db.items()
-    }
-    cone = {mode: rounded(db) for mode, db in score.view_db.items()}
-    return {"paper_db": rounded(score.paper_db), "cone_db": cone, **groups}
 
 
 class _Clock:

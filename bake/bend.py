@@ -95,6 +95,8 @@ def with_room(level: Level) -> Level:
         rows = np.flatnonzero((w > 0.5) & (w < 1) & (_slots(level, bend.joint) >= 0) & (weights > 0).all(1))
         others = np.where(level.joints[rows] == bend.joint, 0, weights[rows].astype(np.int64))
         weakest = np.where(others > 0, others, 256).argmin(1)
+        # not the weakest itself, where all are alike
+        others[np.arange(len(rows)), weakest] = 0
         strongest = others.argmax(1)
         weights[rows, strongest] += weights[rows, weakest]
         joints[rows, weakest], weights[rows, weakest] = 0, 0

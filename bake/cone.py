@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Integer
 from numpy import ndarray as Array
 
-from avatar.baked_avatar import Level
 from avatar.rotation import unit_or_zero
 from geometry.harmonic import fill_reached
 from geometry.mesh import blended
@@ -38,11 +37,6 @@ class ViewCone(NamedTuple):
         return ViewCone(*(value[points] for value in self))
 
 
-def cone_of(level: Level) -> ViewCone:
-    """The cones of a level's vertices, in double precision."""
-    return ViewCone(*(values.astype(np.float64) for values in (level.view_dir, level.view_q, level.view_seen)))
-
-
 def matrix_from_six(six: Float[Array, "*n 6"]) -> Float[Array, "*n 3 3"]:
     """Symmetric matrices of their six numbers xx, xy, xz, yy, yz, zz."""
     return six[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*six.shape[:-1], 3, 3)
@@ -54,12 +48,9 @@ def six_from_matrix(matrix: Float[Array, "*n 3 3"]) -> Float[Array, "*n 6"]:
 
 
 def view_cone(
-    count: Float[Array, "n"],
-    mean: Float[Array, "n 3"],
-    covariance: Float[Array, "n 6"],
-    normals: Float[Array, "n 3"],
+    count: Float[Array, "n"], mean: Float[Array, "n 3"], covariance: Float[Array, "n 6"], normals: Float[Array, "n 3"],
     faces: Integer[Array, "faces 3"],
-) -> ViewCone:
+) -> ViewCone:  # fmt: skip
     """Cone of each vertex of the surface that the statistics were gathered on.
 
         Q = sum_i e_i e_i^T / (REACH^2 (lambda_i + FLOOR^2)),  v = smoothstep(FEWEST, ENOUGH, count)
@@ -76,7 +67,9 @@ def view_cone(
     if not sure.any():
         direction = -normals
     elif not sure.all():
-        direction = _filled(direction, sure, -normals, faces)
+        # far from anything seen a harmonic direction is short but sound; below a thousandth it has cancelled
+        filled = fill_reached(direction, sure, faces)
+        direction = np.where((np.linalg.norm(filled, axis=1) > 1e-3)[:, None], filled, -normals)
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
     first, second = tangent_frame(direction)
@@ -87,14 +80,6 @@ def view_cone(
     weight = 1.0 / (REACH**2 * (np.maximum(values, 0) + FLOOR**2))
     metric = np.einsum("nk,nki,nkj->nij", weight, axes, axes)
     return ViewCone(direction, six_from_matrix(metric), seen)
-
-
-def _filled(direction: Array, known: Array, fallback: Array, faces: Array) -> Array:
-    """Harmonic fill; vertices out of reach of any known one, or where the fill cancels, take the fallback."""
-    filled = fill_reached(direction, known, faces)
-    length = np.linalg.norm(filled, axis=1)
-    # far from anything seen a harmonic direction is short but sound; below this it has cancelled
-    return np.where((length > 1e-3)[:, None], filled, fallback)
 
 
 def tangent_frame(direction: Float[Array, "n 3"]) -> tuple[Array, Array]:
@@ -112,12 +97,12 @@ def interpolated(cone: ViewCone, corners: Integer[Array, "n 3"], barycentric: Fl
     return ViewCone(direction, blended(cone.metric, corners, barycentric), (barycentric * cone.seen[corners]).sum(1))
 
 
-def clamped_tangent(direction: Float[Array, "n 3"], cone: ViewCone, u_view: float = 1.0) -> Float[Array, "n 3"]:
-    """t' = u v t / sqrt(1 + t^T Q t), t = d - (d . d_bar) d_bar: directions pulled into the cone that was seen."""
+def clamped_tangent(direction: Float[Array, "n 3"], cone: ViewCone) -> Float[Array, "n 3"]:
+    """t' = v t / sqrt(1 + t^T Q t), t = d - (d . d_bar) d_bar: directions pulled into the cone that was seen."""
     axis = cone.direction
     tangent = direction - (direction * axis).sum(1, keepdims=True) * axis
     stretch = np.einsum("ni,nij,nj->n", tangent, matrix_from_six(cone.metric), tangent)
-    return u_view * (cone.seen / np.sqrt(1 + np.maximum(stretch, 0)))[:, None] * tangent
+    return (cone.seen / np.sqrt(1 + np.maximum(stretch, 0)))[:, None] * tangent
 
 
 def cone_direction(tangent: Float[Array, "n 3"], cone: ViewCone) -> Float[Array, "n 3"]:

@@ -1,52 +1,51 @@
-"""The field that is baked: asked with NumPy arrays, in pieces."""
+"""The field that is baked: asked with NumPy arrays, in pieces, on all cores."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import torch
-from jaxtyping import Float
 from numpy import ndarray as Array
 
 from command.workers import on_all_cores
-from geometry.isosurface import Detail
 from train.fused import CanonicalField
 
-
-class NumpyField(NamedTuple):
-    """The field behind NumPy functions, asked in pieces so that memory stays bounded."""
-
-    distance: Callable[[Float[Array, "n 3"]], Float[Array, "n"]]
-    normal: Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]]
-    color: Callable[[Float[Array, "n 3"], Float[Array, "n 3"]], Float[Array, "n 3"]]
-    # mean S and H in that colour, of points with their normals; None: the field's light is no factor of its own
-    seen_light: Callable[[Float[Array, "n 3"], Float[Array, "n 3"]], Float[Array, "n 2"]] | None = None
-    # the normals that it fell on; None as well
-    light_normal: Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]] | None = None
-    # where its surface is finer than the grids it is taken from: the eyes
-    details: tuple[Detail, ...] = ()
+NumpyField = CanonicalField[Array]
+# points asked at once
+PIECE = 1 << 15
 
 
-def numpy_field(field: CanonicalField, *, piece: int = 1 << 15) -> NumpyField:
-    """The field behind functions that take and give float64, `piece` points at a time."""
+def numpy_field(field: CanonicalField[torch.Tensor]) -> NumpyField:
+    """The field behind functions that take and give float64."""
 
-    def ask(function: Callable[..., torch.Tensor], *arrays: Array) -> Array:
-        """What a function of the field gives, asked on all cores."""
+    def asked(function: Callable[..., torch.Tensor]) -> Callable[..., Array]:
+        def answers(*arrays: Array) -> Array:
+            """What the function gives; a piece for each core: within one, most of the time is spent between torch's own
+            parallel loops."""
 
-        def answer(start: int) -> Array:
-            tensors = [torch.from_numpy(np.ascontiguousarray(a[start : start + piece], np.float32)) for a in arrays]
-            return function(*tensors).detach().cpu().numpy().astype(np.float64)
+            def answer(start: int) -> Array:
+                tensors = [torch.from_numpy(np.ascontiguousarray(a[start : start + PIECE], np.float32)) for a in arrays]
+                return function(*tensors).detach().cpu().numpy().astype(np.float64)
 
-        # a piece for each core: within one, most of the time is spent between torch's own parallel loops
-        pieces = list(on_all_cores(answer, range(0, len(arrays[0]), piece)))
-        return np.concatenate(pieces) if pieces else np.zeros((0, 3))
+            pieces = list(on_all_cores(answer, range(0, len(arrays[0]), PIECE)))
+            return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
-    seen, lit = field.seen_light, field.light_normal
+        return answers
+
+    distance, seen, lit = asked(field.distance), field.seen_light, field.light_normal
     return NumpyField(
-        lambda points: ask(field.distance, points).reshape(-1),
-        lambda points: ask(field.normal, points),
-        lambda points, directions: ask(field.color, points, directions),
-        None if seen is None else lambda points, normals: ask(seen, points, normals),
-        None if lit is None else lambda points: ask(lit, points),
-        field.details,
-    )
+        lambda points: distance(points).reshape(-1), asked(field.normal), asked(field.color),
+        None if seen is None else asked(seen), None if lit is None else asked(lit), field.details,
+    )  # fmt: skip
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch on one thread: on a machine that others use too, its threads wait for each other by spinning, and a
+    picture of the field was measured to take seven times its processor seconds on two."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

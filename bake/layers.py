@@ -46,8 +46,7 @@ def extract_layers(
     details: Sequence[Detail] = (),
 ) -> Extraction:  # fmt: skip
     """The zero sets of all layers as one mesh; vertices know their layer. Details are the body's."""
-    found = []
-    facing = vertex_normals(origin.vertices, origin.faces)
+    found, facing = [], vertex_normals(origin.vertices, origin.faces)
     for k, layer in enumerate(layers):
         own = origin.layer == k
         found.append(
@@ -58,16 +57,12 @@ def extract_layers(
         )  # fmt: skip
     if len(found) == 1:
         return found[0]
+    queries, islands, slits = (sum(counts) for counts in zip(*((one.queries, one.islands, one.slits) for one in found)))
     return Extraction(
-        concatenated([one.mesh for one in found]),
-        np.concatenate([one.normals for one in found]),
-        sum(one.queries for one in found),
-        sum(one.islands for one in found),
-        found[0].island_area,
-        max(one.residual for one in found),
-        sum(one.slits for one in found),
+        concatenated([one.mesh for one in found]), np.concatenate([one.normals for one in found]), queries, islands,
+        found[0].island_area, max(one.residual for one in found), slits,
         np.concatenate([np.full(len(one.normals), k) for k, one in enumerate(found)]),
-    )
+    )  # fmt: skip
 
 
 def collapsed(
@@ -112,7 +107,11 @@ def layered_data(
     cone, part, filled = None, np.zeros(count, np.int64), 0
     for k in np.unique(layer):
         own, source = layer == k, origin.layer == k
-        data = transferred_data(_only(origin, source), restricted(mesh, own), normals[own])
+        vertices, faces = restricted(TriangleMesh(origin.vertices, origin.faces), source)
+        given = SourceSurface(
+            vertices, faces, origin.part[source], origin.cone.of(source), origin.weights[source], origin.layer[source]
+        )
+        data = transferred_data(given, restricted(mesh, own), normals[own])
         if cone is None:
             cone = ViewCone(*(np.zeros((count, *value.shape[1:])) for value in data.cone))
         weights[own], part[own], filled = data.weights, data.part, filled + data.filled
@@ -120,9 +119,3 @@ def layered_data(
             whole[own] = value
     assert cone is not None
     return TransferredData(weights, cone, part, filled)
-
-
-def _only(origin: SourceSurface, own: Bool[Array, "vertices"]) -> SourceSurface:
-    vertices, faces = restricted(TriangleMesh(origin.vertices, origin.faces), own)
-    cone, weights = origin.cone.of(own), origin.weights[own]
-    return SourceSurface(vertices, faces, origin.part[own], cone, weights, origin.layer[own])

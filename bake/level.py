@@ -14,7 +14,7 @@ from avatar.skeleton import BIG_POSE, PARTS, joint_transforms
 from avatar.texture import bytes_of, mip_levels, mipmaps, sample_texture
 from bake import measure
 from bake.atlas import Unwrapped, unwrap
-from bake.cone import ViewCone, cone_of, interpolated
+from bake.cone import ViewCone, interpolated
 from bake.field import NumpyField
 from bake.network import Distilled, SurfacePoints
 from bake.options import BakeOptions
@@ -105,8 +105,8 @@ def enlargements(
 ) -> list[Enlargement | Magnifier]:
     """Head, hands and eyes of the canonical pose, to keep more triangles than their size asks for."""
     canonical = joint_transforms(np.asarray(BIG_POSE, np.float64), joints, np.zeros(3))[:, :3, 3]
-    result: list[Enlargement | Magnifier] = [*magnifiers(details, options)]
-    result += [Enlargement(canonical[15], np.array([0.0, 1.0, 0.0]), 0.25, options.head_scale)]
+    head = Enlargement(canonical[15], np.array([0.0, 1.0, 0.0]), 0.25, options.head_scale)
+    result: list[Enlargement | Magnifier] = [*magnifiers(details, options), head]
     for elbow, wrist in ((18, 20), (19, 21)):
         axis = canonical[wrist] - canonical[elbow]
         length = float(np.linalg.norm(axis))
@@ -116,7 +116,7 @@ def enlargements(
 
 
 def bake_level(
-    surface: LayeredMesh, data: TransferredData, field: NumpyField, size: int, options: BakeOptions
+    surface: LayeredMesh, data: TransferredData, size: int, field: NumpyField, options: BakeOptions
 ) -> BakedLevel:
     """One level of `size` texels a side of a collapsed mesh, still without colors and features."""
     mesh, normals = surface.mesh, surface.normals
@@ -134,31 +134,16 @@ def bake_level(
     charted = Charted(chart.uv, chart.faces, mesh.vertices[chart.source], normals[chart.source], cone)
 
     facing, light = light_at(field, charted)
+    single = lambda values: values.astype(np.float32)
     level = Level(
-        positions=charted.points.astype(np.float32),
-        normals=facing.astype(np.float32),
-        uv=chart.uv.astype(np.float32),
-        faces=chart.faces.astype(np.uint32),
-        joints=joints,
-        weights=weights,
-        view_dir=cone.direction.astype(np.float32),
-        view_q=cone.metric.astype(np.float32),
-        view_seen=cone.seen.astype(np.float32),
-        base_color=np.zeros((size, size, 3), np.uint8),
-        features=None,
-        light=light,
-    )
+        positions=single(charted.points), normals=single(facing), uv=single(chart.uv),
+        faces=chart.faces.astype(np.uint32), joints=joints, weights=weights, view_dir=single(cone.direction),
+        view_q=single(cone.metric), view_seen=single(cone.seen), base_color=np.zeros((size, size, 3), np.uint8),
+        features=None, light=light,
+    )  # fmt: skip
     facts = level_facts(level, surface, face_part, chart)
     edges = chart_edges(chart.uv, chart.faces, chart.source)
     return BakedLevel(level, charted, edges, {**facts, "weights_filled": data.filled})
-
-
-def level_of_file(level: Level) -> BakedLevel:
-    """A level of an avatar file as the bake had it, but for its facts."""
-    uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
-    charted = Charted(uv, faces, level.positions.astype(np.float64), level.normals.astype(np.float64), cone_of(level))
-    _, source = np.unique(level.positions, axis=0, return_inverse=True)
-    return BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
 
 
 class FieldTexels(NamedTuple):
@@ -294,10 +279,21 @@ def lifted(
 
 
 def level_facts(level: Level, surface: LayeredMesh, face_part: Integer[Array, "faces"], chart: Unwrapped) -> Facts:
-    """What the file's provenance says of a level; `surface` is its mesh before the atlas split vertices."""
+    """What the file's provenance says of a level; `surface` is its mesh before the atlas split vertices.
+
+    Sides of squares as large as a part's mean triangle and as one of its texels are in mm.
+    """
     size, mesh = len(level.base_color), surface.mesh
     away = measure.field_to_mesh(surface.away, mesh)
     fault = find_faults(mesh.faces, len(mesh.vertices))
+    covered, areas = atlas_areas(chart.uv[chart.faces] * size), face_areas(mesh.vertices, mesh.faces)
+    triangle, texel = {}, {}
+    for number in np.unique(face_part):
+        own, name = face_part == number, PARTS[int(number)]
+        # in an order of their own, which chart.face_part follows
+        texels = max(covered[chart.face_part == number].sum(), 1e-9)
+        triangle[name] = rounded(1e3 * float(np.sqrt(areas[own].mean())))
+        texel[name] = rounded(1e3 * float(np.sqrt(areas[own].sum() / texels)))
     return {
         "vertices": len(level.positions),
         "charts": chart.charts,
@@ -306,31 +302,8 @@ def level_facts(level: Level, surface: LayeredMesh, face_part: Integer[Array, "f
         "field_to_mesh_mm": {"mean": rounded(away.mean() * 1e3), "max": rounded(away.max() * 1e3)},
         "open_edges": fault.open_edges,
         "non_manifold_edges": fault.crowded_edges,
-        **size_facts(mesh, face_part, chart.uv[chart.faces] * size, chart.face_part),
-    }
-
-
-def size_facts(
-    mesh: TriangleMesh,
-    part: Integer[Array, "faces"],
-    corners: Float[Array, "faces 3 2"],
-    corner_part: Integer[Array, "faces"],
-) -> Facts:
-    """Triangles by part, and the sides of squares as large as a part's mean triangle and as one of its texels, mm.
-
-    `corners` are the triangles in the atlas, in texels, in an order of their own, which `corner_part` follows.
-    """
-    covered = atlas_areas(corners)
-    areas = face_areas(mesh.vertices, mesh.faces)
-    triangle, texel = {}, {}
-    for number in np.unique(part):
-        own, name = part == number, PARTS[int(number)]
-        texels = max(covered[corner_part == number].sum(), 1e-9)
-        triangle[name] = rounded(1e3 * float(np.sqrt(areas[own].mean())))
-        texel[name] = rounded(1e3 * float(np.sqrt(areas[own].sum() / texels)))
-    return {
         "faces": len(mesh.faces),
-        "faces_by_part": {name: int((part == number).sum()) for number, name in enumerate(PARTS)},
+        "faces_by_part": {name: int((face_part == number).sum()) for number, name in enumerate(PARTS)},
         "texel_mm_by_part": texel,
         "triangle_mm_by_part": triangle,
     }

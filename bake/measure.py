@@ -14,7 +14,8 @@ from avatar.psnr import PooledError, error_between, pooled
 from avatar.rotation import unit_or_zero
 from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
-from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, interpolated
+from bake.cone import ViewCone, clamped_tangent, cone_direction, interpolated
+from bake.field import NumpyField
 from geometry.isosurface import PointFunction, project_to_zero
 from geometry.mesh import TriangleMesh, blended
 from geometry.sample import stratified_samples
@@ -47,8 +48,7 @@ class FieldSurface(NamedTuple):
     skin: SkinWeights
     cone: ViewCone
     joints: Float[Array, "52 3"]
-    distance: PointFunction
-    color: ColorFunction
+    field: NumpyField
 
 
 def test_poses() -> dict[str, Float[Array, "52 3"]]:
@@ -97,12 +97,9 @@ class FieldImage(NamedTuple):
 
 
 def draw_field(
-    surface: FieldSurface,
-    view: ScoredView,
-    draw: Callable[[Array, Array, Camera], tuple[Array, Array]],
-    *,
+    surface: FieldSurface, view: ScoredView, draw: Callable[[Array, Array, Camera], tuple[Array, Array]], *,
     with_cone: bool,
-) -> FieldImage:
+) -> FieldImage:  # fmt: skip
     """The field as its first surface crossing: the fine mesh posed and rasterised, each pixel's canonical point
     moved onto the zero set, its color asked there. draw(vertices_world, faces, camera) -> face, barycentric."""
     transforms = skin_transforms(view.axis_angle, surface.joints, view.root)
@@ -112,21 +109,21 @@ def draw_field(
     corners, weight = surface.mesh.faces[face[mask]], np.clip(barycentric[mask].astype(np.float64), 0, 1)
     points = blended(surface.mesh.vertices, corners, weight)
     normals = unit_or_zero(blended(surface.normals, corners, weight))
-    points, _ = project_to_zero(surface.distance, points, normals, reach=0.003, steps=2)
+    points, _ = project_to_zero(surface.field.distance, points, normals, reach=0.003, steps=2)
     cone = interpolated(surface.cone, corners, weight)
     paper = np.zeros((*mask.shape, 3))
-    paper[mask] = surface.color(points, cone.direction)
+    paper[mask] = surface.field.color(points, cone.direction)
     if not with_cone:
         return FieldImage(paper, None, mask)
     dense = np.zeros((len(corners), len(transforms)))
     for corner in range(3):
-        joints, share = surface.skin.joints[corners[:, corner]], surface.skin.weights[corners[:, corner]]
+        joints, share = surface.skin.of(corners[:, corner])
         np.add.at(dense, (np.arange(len(dense))[:, None], joints), share * weight[:, corner, None])
     rotation = blended_rotations(strongest_four(dense), transforms)
     _, rays = pixel_rays(view.camera)
     direction = np.einsum("nji,nj->ni", rotation, rays.reshape(*mask.shape, 3)[mask])
     image = np.zeros((*mask.shape, 3))
-    image[mask] = surface.color(points, cone_direction(clamped_tangent(direction, cone), cone))
+    image[mask] = surface.field.color(points, cone_direction(clamped_tangent(direction, cone), cone))
     return FieldImage(paper, image, mask)
 
 
@@ -153,8 +150,7 @@ def compare(avatar: Avatar, surface: FieldSurface, views: list[ScoredView]) -> B
     modes = views_of(avatar)[::-1]
     errors = {view.group: dict.fromkeys(["paper", *modes], PooledError()) for view in views}
     per_view = {}
-    context = open_context()
-    try:
+    with open_context() as context:
         rasteriser = Rasteriser(context)
 
         def draw(vertices: Array, faces: Array, camera: Camera) -> tuple[Array, Array]:
@@ -177,8 +173,6 @@ def compare(avatar: Avatar, surface: FieldSurface, views: list[ScoredView]) -> B
         for renderer in renderers.values():
             renderer.release()
         rasteriser.release()
-    finally:
-        context.release()
     groups = {group: {m: e.psnr() for m, e in one.items() if e.count} for group, one in errors.items()}
     together = {m: pooled(one[m] for one in errors.values()) for m in ["paper", *modes]}
     db = {mode: e.psnr() for mode, e in together.items() if e.count}
@@ -186,9 +180,6 @@ def compare(avatar: Avatar, surface: FieldSurface, views: list[ScoredView]) -> B
     return BakeScore(paper, db, groups, per_view, together["paper"].count // 3)
 
 
-def field_to_mesh(
-    distance: PointFunction, mesh: TriangleMesh, *, count: int = 40_000, seed: int = 0
-) -> Float[Array, "count"]:
+def field_to_mesh(distance: PointFunction, mesh: TriangleMesh) -> Float[Array, "count"]:
     """|distance| of points spread evenly over a mesh, metres: how far its triangles cut through the surface."""
-    samples = stratified_samples(*mesh, count, seed=seed)
-    return np.abs(distance(samples.on(*mesh)))
+    return np.abs(distance(stratified_samples(*mesh, 40_000, seed=0).on(*mesh)))

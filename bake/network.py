@@ -26,6 +26,10 @@ from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, 
 from files.whole import whole_file
 
 AMPLITUDE = 0.6
+# sines and cosines of each coordinate that features are made of, and points of a training step
+OCTAVES, BATCH = 6, 2048
+# share of the directions that are distributed as training saw them
+OBSERVED = 0.7
 # what a mode must gain over the simpler one to be shipped
 GAIN_DB = 0.3
 # a field this close to its own paper mode has nothing to add: 1.4 / 255 rms
@@ -70,22 +74,17 @@ class FeatureEncoder(nn.Module):
     2 m (about 6 cm): a residual of the view varies no faster.
     """
 
-    def __init__(self, *, width: int = 48, octaves: int = 6):
+    def __init__(self):
         super().__init__()
-        self.octaves = octaves
         self.layers = nn.Sequential(
-            nn.Linear(3 + 6 * octaves + 9, width),
-            nn.ReLU(),
-            nn.Linear(width, width),
-            nn.ReLU(),
-            nn.Linear(width, 4),
+            nn.Linear(3 + 6 * OCTAVES + 9, 48), nn.ReLU(), nn.Linear(48, 48), nn.ReLU(), nn.Linear(48, 4)
         )
 
     def inputs(self, surface: SurfacePoints) -> Float[torch.Tensor, "n inputs"]:
         """What the layers are given of points of the surface."""
         columns = [surface.points, surface.normals, surface.base, surface.cone.direction]
         plain = torch.from_numpy(np.concatenate(columns, 1).astype(np.float32))
-        waves = [f(plain[:, :3] * (torch.pi * 2**k)) for k in range(self.octaves) for f in (torch.sin, torch.cos)]
+        waves = [f(plain[:, :3] * (torch.pi * 2**k)) for k in range(OCTAVES) for f in (torch.sin, torch.cos)]
         return torch.cat([plain, *waves], 1)
 
     def forward(self, inputs: Float[torch.Tensor, "n inputs"]) -> Float[torch.Tensor, "n features"]:
@@ -93,7 +92,7 @@ class FeatureEncoder(nn.Module):
         return value + (torch.round(value * 255) / 255 - value).detach()
 
 
-def sampled_directions(cone: ViewCone, rng: np.random.Generator, *, seen_share: float = 0.7) -> Array:
+def sampled_directions(cone: ViewCone, rng: np.random.Generator) -> Array:
     """Unit directions: most distributed as training saw them, the rest over the whole sphere."""
     n = len(cone.direction)
     first, second = tangent_frame(cone.direction)
@@ -108,7 +107,7 @@ def sampled_directions(cone: ViewCone, rng: np.random.Generator, *, seen_share: 
     observed = tangent + cone.direction * np.sqrt(np.maximum(1 - (tangent**2).sum(1, keepdims=True), 0))
     anywhere = rng.normal(size=(n, 3))
     anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
-    return np.where(rng.random((n, 1)) < seen_share, observed, anywhere)
+    return np.where(rng.random((n, 1)) < OBSERVED, observed, anywhere)
 
 
 def network_inputs(features: Float[Array, "n features"], tangent: Float[Array, "n 3"]) -> Float[Array, "n inputs"]:
@@ -144,40 +143,33 @@ def fit_linear(
 
 
 def distil(
-    color: ColorFunction,
-    surface: SurfacePoints,
-    *,
-    seed: int = 0,
-    steps: int = 1200,
-    batch: int = 2048,
+    color: ColorFunction, surface: SurfacePoints, *, seed: int = 0, steps: int = 1200,
     report: Callable[[str], None] = lambda line: None,
-) -> Distilled:
+) -> Distilled:  # fmt: skip
     """Features, network and linear residual for the cone field color(points, directions).
 
-    One eighth of the surface points is kept out and scores the modes. When the field's own view dependence
-    inside the cone is below what can be seen, or nothing beats the paper's color, nothing is shipped and the
-    view is "off".
+    One eighth of the surface points is kept out and scores the modes. When the field's own view dependence inside the
+    cone is below what can be seen, or nothing beats the paper's color, nothing is shipped and the view is "off".
     """
     rng = np.random.default_rng(seed)
     usable = np.flatnonzero(surface.cone.seen > 0.02)
     if len(usable) < 64:
         return Distilled(None, None, "off", None, {"off": float("inf")}, "no camera saw the surface often enough")
-    surface = SurfacePoints(
-        surface.points[usable], surface.normals[usable], surface.base[usable], surface.cone.of(usable)
-    )
+    points, normals, base = (values[usable] for values in (surface.points, surface.normals, surface.base))
+    surface = SurfacePoints(points, normals, base, surface.cone.of(usable))
     direction = sampled_directions(surface.cone, rng)
     tangent = clamped_tangent(direction, surface.cone)
     paper = color(surface.points, surface.cone.direction)
     residual = color(surface.points, cone_direction(tangent, surface.cone)) - paper
     kept = rng.random(len(usable)) < 0.125
-    scores = {"off": decibels(float(np.mean(np.square(residual[kept]))))}
+    score = lambda left: decibels(float(np.mean(np.square(left))))
+    scores = {"off": score(residual[kept])}
     report(f"cone field against its paper mode: {scores['off']:.1f} dB")
     if scores["off"] >= INVISIBLE_DB:
         reason = f"within the cone the field is {scores['off']:.1f} dB near its own paper mode: nothing to be seen"
         return Distilled(None, None, "off", None, scores, reason)
 
-    samples = ResidualSamples(surface, tangent, residual, kept)
-    encoder, linears = trained(samples, rng=rng, seed=seed, steps=steps, batch=batch)
+    encoder, linears = trained(ResidualSamples(surface, tangent, residual, kept), rng=rng, seed=seed, steps=steps)
 
     def features_of(points: SurfacePoints) -> UInt8[Array, "n features"]:
         with torch.no_grad():
@@ -188,8 +180,8 @@ def distil(
     features = features_of(surface) / 255.0
     linear = fit_linear(features[~kept], tangent[~kept], residual[~kept])
     held = features[kept], tangent[kept]
-    scores["linear"] = decibels(float(np.mean(np.square(linear_residual(linear, *held) - residual[kept]))))
-    scores["network"] = decibels(float(np.mean(np.square(network_residual(network, *held) - residual[kept]))))
+    scores["linear"] = score(linear_residual(linear, *held) - residual[kept])
+    scores["network"] = score(network_residual(network, *held) - residual[kept])
     report(f"linear {scores['linear']:.1f} dB, network {scores['network']:.1f} dB on samples kept out")
     return choose(scores, network, linear, features_of)
 
@@ -204,7 +196,7 @@ class ResidualSamples(NamedTuple):
 
 
 def trained(
-    samples: ResidualSamples, *, rng: np.random.Generator, seed: int, steps: int, batch: int
+    samples: ResidualSamples, *, rng: np.random.Generator, seed: int, steps: int
 ) -> tuple[FeatureEncoder, list[nn.Linear]]:
     """The encoder of the features and the layers of the network, fitted together with a linear residual."""
     torch.manual_seed(seed)
@@ -220,7 +212,7 @@ def trained(
     optimiser = torch.optim.Adam([*encoder.parameters(), *layers.parameters(), matrices], lr=3e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, max_lr=6e-3, total_steps=steps)
     for _ in range(steps):
-        pick = torch.from_numpy(rng.choice(train, min(batch, len(train))))
+        pick = torch.from_numpy(rng.choice(train, min(BATCH, len(train))))
         features, t = encoder(inputs[pick]), tangents[pick]
         size = t.norm(dim=1, keepdim=True)
         y = layers(torch.cat([features, t, size], 1))
@@ -237,11 +229,9 @@ def trained(
 
 
 def choose(
-    scores: dict[str, float],
-    network: ViewNetwork,
-    linear: Float[Array, "features 3 3"],
+    scores: dict[str, float], network: ViewNetwork, linear: Float[Array, "features 3 3"],
     features: Callable[[SurfacePoints], UInt8[Array, "n features"]],
-) -> Distilled:
+) -> Distilled:  # fmt: skip
     """The simplest mode that is not GAIN_DB worse than a richer one; what is not worth it is not in the file."""
     scores_text = ", ".join(f"{mode} {scores[mode]:.1f} dB" for mode in ("network", "linear", "off"))
     reason = f"against the cone field on samples kept out: {scores_text}; a richer mode must gain {GAIN_DB} dB"
@@ -263,12 +253,10 @@ def write_onnx(path: Path, network: ViewNetwork) -> None:
         helper.make_node("Gemm", ["h1", "w2", "b2"], ["y"], transB=1),
     ]
     graph = helper.make_graph(
-        nodes,
-        "view_network",
-        [helper.make_tensor_value_info("x", TensorProto.FLOAT, ["n", 8])],
+        nodes, "view_network", [helper.make_tensor_value_info("x", TensorProto.FLOAT, ["n", 8])],
         [helper.make_tensor_value_info("y", TensorProto.FLOAT, ["n", 3])],
         [numpy_helper.from_array(np.asarray(value, np.float32), name) for name, value in vars(network).items()],
-    )
+    )  # fmt: skip
     model = helper.make_model(
         graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8, producer_name="selfscan"
     )

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from avatar.light import CaptureLight
 from bake.promises import Facts
 from capture.fit.refine import with_refined
-from capture.folder import PartVideo, read_capture
+from capture.folder import Capture, PartVideo, read_capture
 from command.errors import AssetError
 from train.run import lights_of, matrix_of
 from train.session import capture_digest
@@ -68,13 +68,12 @@ def run_videos(path: Path, facts: Facts, given: Path | None) -> RunVideos:
         estimated, capture.chin if estimated else None,
     )  # fmt: skip
     if not same:
-        _check_head(videos, path)
+        _check_head(videos, capture, path)
     return videos
 
 
-def _check_head(videos: RunVideos, run: Path) -> None:
+def _check_head(videos: RunVideos, capture: Capture, run: Path) -> None:
     """Refuse videos whose head lies in another frame than the run's."""
-    capture = read_capture(videos.capture, parts=("head",))
     video = capture.videos["head"]
     assert video.landmarks is not None and video.landmark_vertices is not None
     canonical_from_head = np.linalg.inv(videos.head_from_canonical)

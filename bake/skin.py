@@ -8,6 +8,8 @@ from geometry.closest import Match
 from geometry.harmonic import fill_harmonic
 from geometry.mesh import blended, component_labels, connected, half_edges
 
+# metres from a mesh to the surface that its weights are taken from, beyond which they are filled
+LIMIT = 0.03
 # the limb a joint moves: torso and head, each leg, each arm, each finger
 LIMBS = np.array([0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 3, 4, 0, 3, 4, 3, 4, 3, 4, *np.repeat(np.arange(5, 15), 3)])
 
@@ -27,14 +29,10 @@ def detached_vertices(weights: Float[Array, "n joints"], faces: Integer[Array, "
 
 
 def transferred_weights(
-    match: Match,
-    faces: Integer[Array, "faces 3"],
-    source_faces: Integer[Array, "source_faces 3"],
+    match: Match, faces: Integer[Array, "faces 3"], source_faces: Integer[Array, "source_faces 3"],
     source: Float[Array, "vertices joints"],
-    *,
-    limit: float = 0.03,
-) -> tuple[Float[Array, "n joints"], int]:
-    """Dense weights at the closest source point that faces the same way, within `limit` metres, and that belongs
+) -> tuple[Float[Array, "n joints"], int]:  # fmt: skip
+    """Dense weights at the closest source point that faces the same way, within LIMIT, and that belongs
     to the limb that lies there; the rest is filled harmonically over the mesh `faces` (Abdrashitov et al. 2023,
     Robust Skin Weights Transfer).
 
@@ -42,7 +40,7 @@ def transferred_weights(
         rows that sum to one, and how many were filled.
     """
     weights = blended(source, source_faces[match.face], match.barycentric)
-    good = match.agrees & (match.distance < limit)
+    good = match.agrees & (match.distance < LIMIT)
     if weights.shape[1] == len(LIMBS):
         good &= ~detached_vertices(weights, faces)
     weights = np.maximum(fill_harmonic(weights, good, faces), 0)

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from avatar.light import CaptureLight, lamps_of
 from avatar.psnr import decibels
-from bake.cores import one_thread
+from bake.field import one_thread
 from bench.field.drawer import Drawer
 from bench.ladder.machine import machine
 from bench.score.picture_scores import SAMPLES, VIEW_REGION, region_of

@@ -30,10 +30,11 @@ from capture.folder import read_capture
 from command.errors import AssetError
 from files.whole import whole_file, write_json, write_text
 from train.field import PartField
-from train.objective import Batch, RayTensors, beta_at, functions_of, render_rays
+from train.objective import Batch, beta_at, functions_of, render_rays
 from train.part_job import PartJob, part_untrained
 from train.prefit import fit_template
 from train.preset import PRESETS, PartPreset, Preset
+from train.rays import RayTensors
 from train.trainer import FieldTraining, Watch, peak_memory, train_field
 
 HELD_OUT = 8  # each so-many-th frame, from the fourth on
@@ -136,7 +137,7 @@ def one_preset(
         away += time.monotonic() - now
 
     by = FieldTraining(part=settings, preset=preset, seed=seed)
-    skipped = train_field(field, training, by, watch=Watch(report=report))
+    skipped = train_field(field, training, by, watch=Watch(report=report)).skipped
     per_step = points[-1]["seconds"] / settings.iterations
     memory = peak_memory(device)
     return {

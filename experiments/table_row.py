@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from bake.cores import one_thread
+from bake.field import one_thread
 from bench.field.drawer import Drawer
 from bench.field.posed_field import Directions
 from bench.ladder.machine import machine

@@ -16,18 +16,32 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 # before any GL context: it loads an LLVM that crashes when Mesa's came first
 import torch._dynamo  # noqa: F401
 
-from avatar.gltf.avatar_file import Avatar, read_avatar, write_avatar
+from avatar.gltf.avatar_file import Avatar, Level, read_avatar, write_avatar
 from bake.bake import with_video_textures
-from bake.level import level_of_file, places_on_finest
+from bake.cone import ViewCone
+from bake.level import BakedLevel, Charted, places_on_finest
 from bake.run_capture import run_videos
+from bake.texture.seams import chart_edges
 from capture.held_out import SETS, read_held_out, some_poses
 from experiments.print_bands import print_bands
 from experiments.view_modes import decibels_by_region, mode_errors
 from player.gl.context import open_context
 from train.run import read_facts
+
+
+def level_of_file(level: Level) -> BakedLevel:
+    """A level of an avatar file as the bake had it, but for its facts."""
+    uv, points, normals = (values.astype(np.float64) for values in (level.uv, level.positions, level.normals))
+    faces = level.faces.astype(np.int64)
+    cone = ViewCone(*(values.astype(np.float64) for values in (level.view_dir, level.view_q, level.view_seen)))
+    _, source = np.unique(level.positions, axis=0, return_inverse=True)
+    edges = chart_edges(uv, faces, source.reshape(-1))
+    return BakedLevel(level, Charted(uv, faces, points, normals, cone), edges, {})
 
 
 def retextured(avatar: Avatar, run: Path, capture: Path | None) -> tuple[Avatar, dict[str, Any]]:

@@ -10,7 +10,7 @@ from bake.run_capture import RunVideos
 from capture.folder import PartVideo
 from capture.template.parts import part_boxes
 from capture.template.surface import surface_cloud, visible_faces
-from train.rays import FilmedPart, RaySettings, TrainingRays, part_rays
+from train.rays import FilmedPart, RaySettings, RayTensors, part_rays
 from train.run import build_field
 from train.template_grid import template_grid
 
@@ -25,10 +25,10 @@ def filmed_part(capture, index=2, spacing=0.006, **changes) -> FilmedPart:
     )  # fmt: skip
 
 
-def rays_of(filmed: FilmedPart, settings, *, ends: int, per_frame: int) -> TrainingRays:
+def rays_of(filmed: FilmedPart, settings, *, ends: int, per_frame: int) -> RayTensors:
     """The part's rays by the band of its preset, seeded."""
     own = RaySettings(band=settings.band, ends=ends, per_frame=per_frame)
-    return part_rays(filmed, own, np.random.default_rng(0))
+    return part_rays(filmed, own, np.random.default_rng(0)).rays
 
 
 def untrained(filmed: FilmedPart, settings, frames: int, *, cell: float = 0.006, seed: int = 5):

@@ -11,8 +11,8 @@ import torch
 from train.distributed import join_ranks, leave_ranks
 from train.field import PartField
 from train.networks.triplane import TriPlaneNetworks
-from train.objective import RayTensors
 from train.preset import DEMO
+from train.rays import RayTensors
 from train.template_grid import TemplateGrid
 from train.trainer import FieldTraining, Watch, train_field
 

@@ -5,8 +5,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from train.fused import FusedField
-from train.objective import RayTensors, directions_at
+from train.objective import directions_at
 from train.preset import Preset
+from train.rays import RayTensors
 from train.render import crossing
 from train.union import in_overlap
 

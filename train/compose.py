@@ -35,8 +35,8 @@ from train.eye_grid import OpenEyes, filmed_eyes
 from train.field import PartField
 from train.fused import FusedField, eq9_shares, part_weight
 from train.light import SeenLight, VideoLight, light_facts, seen_lights_from_json
-from train.objective import RayTensors
 from train.preset import Preset
+from train.rays import RayTensors
 from train.skin import CanonicalSkin
 from train.surface import Surface, extract_surface
 from train.trainer import UNSAVED, UNWATCHED, Checkpoints, Watch
@@ -182,10 +182,7 @@ def consistent_placement(capture: Capture, landmarks: Registration, say: Say) ->
     say(f"head by its own video: moved by {found.moved * 1000:.2f} mm from the landmarks' place")
     own = Registration(found.canonical_from_head, landmarks.residual)
     place, outline = placed_by_outline(capture, own, found.canonical_from_head, say)
-    facts = {
-        "moved_mm": round(found.moved * 1000, 3),
-        "residual_before": round(found.before, 5),
-        "residual_after": round(found.after, 5),
+    facts = _fit_facts(found.moved, found.before, found.after) | {
         "outline": outline,
         "moved": (place @ np.linalg.inv(landmarks.transform)).tolist(),
     }
@@ -350,12 +347,9 @@ def register_head(subject: CaptureSubject, fields: Sequence[PartField], anchors:
     if head.arrived.sum() < 100 or body.arrived.sum() < 100:
         raise ValueError("head registration: the head or body field has no surface near the template's head")
     return refine_by_surfaces(
-        head.points[head.arrived],
-        body.points[body.arrived],
-        body.normals[body.arrived],
-        source_normals=head.normals[head.arrived],
-        anchors=anchors,
-    )
+        head.points[head.arrived], body.points[body.arrived], body.normals[body.arrived],
+        source_normals=head.normals[head.arrived], anchors=anchors,
+    )  # fmt: skip
 
 
 def place_on_video(
@@ -387,9 +381,9 @@ def place_on_video(
     before, after = (head.points @ T[:3, :3].T + T[:3, 3] for T in (correction.transform, fit.transform))
     moved = float(np.linalg.norm(after - before, axis=1).mean())
     say(f"head on the body's video: moved by {moved * 1000:.2f} mm, residual {fit.before:.4f} -> {fit.after:.4f}")
-    facts = {
-        "moved_mm": round(moved * 1000, 3),
-        "residual_before": round(fit.before, 5),
-        "residual_after": round(fit.after, 5),
-    }
-    return Registration(fit.transform, correction.residual), facts
+    return Registration(fit.transform, correction.residual), _fit_facts(moved, fit.before, fit.after)
+
+
+def _fit_facts(moved: float, before: float, after: float) -> dict[str, Any]:
+    """What run.json says of a fit to a video that moved the head by so many metres; residuals of colors."""
+    return {"moved_mm": round(moved * 1000, 3), "residual_before": round(before, 5), "residual_after": round(after, 5)}

@@ -39,12 +39,9 @@ def apply_rows(rows: Float[Array, "s 3 4"], index: Int[Array, "n"], points: Floa
 
 
 def canonical_from_posed(
-    points: Float[Array, "n 3"],
-    start: Int[Array, "n"],
-    inverse: Float[Array, "samples 3 4"],
-    nearest: Callable[[Float[Array, "k 3"]], Int[Array, "k"]],
-    settled: float = 1e-4,
-) -> tuple[Int[Array, "n"], Float[Array, "n 3"], Bool[Array, "n"]]:
+    points: Float[Array, "n 3"], start: Int[Array, "n"], inverse: Float[Array, "samples 3 4"],
+    nearest: Callable[[Float[Array, "k 3"]], Int[Array, "k"]], settled: float = 1e-4,
+) -> tuple[Int[Array, "n"], Float[Array, "n 3"], Bool[Array, "n"]]:  # fmt: skip
     """Which template sample each posed point follows, where that puts it, and whether the answer settled.
 
     Starts at the closest posed sample (`start`), maps the point with its weights, looks the weights up again at
@@ -75,17 +72,13 @@ def canonical_directions(
 
     `bones` are the unit quaternions (xyzw) of the four bones of each point, heaviest first.
     """
-    return _turned(directions, weights, bones, -1.0)
+    return posed_directions(directions, weights, bones, -1.0)
 
 
 def posed_directions(
-    directions: Float[Tensor, "n 3"], weights: Float[Tensor, "n 4"], bones: Float[Tensor, "n 4 4"]
+    directions: Float[Tensor, "n 3"], weights: Float[Tensor, "n 4"], bones: Float[Tensor, "n 4 4"], sign: float = 1.0
 ) -> Float[Tensor, "n 3"]:
-    """R d: `canonical_directions` backwards."""
-    return _turned(directions, weights, bones, 1.0)
-
-
-def _turned(directions: Tensor, weights: Tensor, bones: Tensor, sign: float) -> Tensor:
+    """R d, or R^T d where the sign is -1."""
     q = bones
     side = torch.where((q * q[:, :1]).sum(-1) < 0, -1.0, 1.0)
     q = ((weights * side)[..., None] * q).sum(1)
@@ -116,9 +109,8 @@ def trilinear(grid: Float[Tensor, "c x y z"], unit: Float[Tensor, "n 3"]) -> Flo
 class Displacement(nn.Module):
     """T_nr(x, code): what skinning or the rigid motion leaves over, at most `reach` metres (Eq. 3, 4).
 
-    The trunk turns the encoded point and the code, side by side, into `width` numbers; the last layer starts at
-    zero. `code` is one row per frame; the mean over the frames is what the fused query
-    adds at rendering time.
+    The trunk turns the encoded point and the code, side by side, into `width` numbers; the last layer starts at zero.
+    `code` is one row per frame; the mean over the frames is what the fused query adds at rendering time.
     """
 
     code: nn.Embedding

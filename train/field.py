@@ -100,13 +100,9 @@ class PartField(nn.Module):
         return unit_normals(TEMPLATE_SHARE * facing + (1 - TEMPLATE_SHARE) * unit_normals(gradient.detach()))
 
     def color(
-        self,
-        points: Float[Tensor, "n 3"],
-        feature: Float[Tensor, "n z"],
-        normals: Float[Tensor, "n 3"],
-        directions: Float[Tensor, "n 3"],
-        code: Float[Tensor, "n l"],
-    ) -> Float[Tensor, "n 3"]:
+        self, points: Float[Tensor, "n 3"], feature: Float[Tensor, "n z"], normals: Float[Tensor, "n 3"],
+        directions: Float[Tensor, "n 3"], code: Float[Tensor, "n l"],
+    ) -> Float[Tensor, "n 3"]:  # fmt: skip
         """F_c, Eq. 2: sRGB in [0, 1] seen along unit `directions` (away from the camera), all canonical."""
         return self.color_network(ColorInputs(self.unit(points), feature, normals, directions, code))
 

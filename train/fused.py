@@ -2,7 +2,8 @@
 
 import copy
 from collections.abc import Callable, Collection, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import torch
 from jaxtyping import Float
@@ -14,20 +15,23 @@ from train.eye_grid import OpenEyes
 from train.field import FieldSample, PartField, unit_normals
 from train.light import SeenLight
 
+Points = TypeVar("Points")
 
-class CanonicalField(NamedTuple):
-    """A person as functions of canonical points, metres: torch, float32."""
 
-    # signed, metres
-    distance: Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n"]]
-    # unit
-    normal: Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n 3"]]
-    # sRGB of points seen along unit directions, from the camera to the point
-    color: Callable[[Float[Tensor, "n 3"], Float[Tensor, "n 3"]], Float[Tensor, "n 3"]]
-    # mean S and H in that color, of points with their normals; None: light is no factor of its own
-    seen_light: Callable[[Float[Tensor, "n 3"], Float[Tensor, "n 3"]], Float[Tensor, "n 2"]] | None = None
-    # the normals that this light fell on; None as well
-    light_normal: Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n 3"]] | None = None
+@dataclass(frozen=True)
+class CanonicalField(Generic[Points]):
+    """A person as functions of canonical points (n, 3), metres: of torch in float32, or of NumPy (bake/field.py)."""
+
+    # (n,), signed, metres
+    distance: Callable[[Points], Points]
+    # (n, 3), unit
+    normal: Callable[[Points], Points]
+    # (n, 3), sRGB of points seen along unit directions, from the camera to the point
+    color: Callable[[Points, Points], Points]
+    # (n, 2), mean S and H in that color, of points with their normals; None: light is no factor of its own
+    seen_light: Callable[[Points, Points], Points] | None = None
+    # (n, 3), the normals that this light fell on; None as well
+    light_normal: Callable[[Points], Points] | None = None
     # where the surface has smaller features than a part's cells: the eyes
     details: tuple[Detail, ...] = ()
 
@@ -35,10 +39,9 @@ class CanonicalField(NamedTuple):
 class FusedField(nn.Module):
     """F(x + mean over frames of T_nr(x, code)), distance and color blended with Eq. 9's weights.
 
-    Everything is canonical, metres, float32. `head_from_canonical` is the correction of Eq. 5, a similarity: the
-    head field lives where the landmarks (Eq. 6) put it; points, directions, normals and distances are moved there
-    and back inside.
-    Colors use each part's reference code. A person of one field (a single network) has weight 1 everywhere.
+    Everything is canonical, metres, float32. `head_from_canonical` is the correction of Eq. 5, a similarity: the head
+    field lives where the landmarks (Eq. 6) put it; points, directions, normals and distances are moved there and back
+    inside. Colors use each part's reference code. A person of one field (a single network) has weight 1 everywhere.
 
     Round the eyes the head's distance may be the template's (`eyes`, train/eye_grid.py).
     """
@@ -55,7 +58,7 @@ class FusedField(nn.Module):
         self.seen: tuple[SeenLight, ...] | None = None
         self.register_buffer("head_from_canonical", head_from_canonical.float())
 
-    def functions(self) -> CanonicalField:
+    def functions(self) -> CanonicalField[Tensor]:
         """The person's functions alone, as baking takes them."""
         factor = self.seen is not None
         return CanonicalField(
@@ -129,16 +132,11 @@ class FusedField(nn.Module):
 
     def albedo(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Color without its light, where that is a factor of its own, else `color`."""
-        seen, self.seen = self.seen, None
-        try:
-            return self.color(points, directions)
-        finally:
-            self.seen = seen
+        return self.blend(self.shares, self.part_color, points, directions)
 
     def seen_light(self, points: Float[Tensor, "n 3"], normals: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2"]:
-        """Mean S and H that surface points with these normals were seen under; 1 and 0 where light is no factor."""
-        if self.seen is None:
-            return torch.tensor([1.0, 0.0], device=points.device).expand(len(points), 2)
+        """Mean S and H that surface points with these normals were seen under, where light is a factor of its own."""
+        assert self.seen is not None
         each = torch.stack([one.at(normals) for one in self.seen], 1)
         return (self.shares(points)[:, :, None] * each).sum(1)
 
@@ -183,12 +181,9 @@ class FusedField(nn.Module):
         return self.seen[index].shown(albedo, self._lit_at(index, points, gradient))
 
     def part_color(
-        self,
-        index: int,
-        points: Float[Tensor, "n 3"],
-        directions: Float[Tensor, "n 3"],
+        self, index: int, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"],
         code: Float[Tensor, "l"] | None = None,
-    ) -> Float[Tensor, "n 3"]:
+    ) -> Float[Tensor, "n 3"]:  # fmt: skip
         """F_c of one part (albedo, where light is a factor of its own); `code` replaces its reference code and may
         carry a gradient (Eq. 8)."""
         code = self.field(index).reference if code is None else code

@@ -62,12 +62,9 @@ class LightTensors(NamedTuple):
     shares: Float[Tensor, "lamps"]
 
     def lit(
-        self,
-        albedo: Float[Tensor, "b k 3"],
-        normals: Float[Tensor, "b k 3"],
-        towards_eye: Float[Tensor, "b 3"],
+        self, albedo: Float[Tensor, "b k 3"], normals: Float[Tensor, "b k 3"], towards_eye: Float[Tensor, "b 3"],
         frame: Int[Tensor, "b"],
-    ) -> Float[Tensor, "b k 3"]:
+    ) -> Float[Tensor, "b k 3"]:  # fmt: skip
         """Display color of sections; normals and directions lie where the rays do."""
         lamps = self.lamps[frame]
         shading = self.light.ambient + (normals @ lamps.transpose(1, 2)).clamp_min(0) @ self.strengths

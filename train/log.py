@@ -1,10 +1,9 @@
 """Training logs: LOGS/PART.csv, for people and spreadsheets."""
 
 import csv
-import io
-import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TextIO
 
 from command.errors import AssetError
 from files.whole import whole_file
@@ -16,7 +15,7 @@ class TrainingLog:
     def __init__(self, folder: Path, part: str):
         self.path = folder / f"{part}.csv"
         self.columns: list[str] | None = None
-        self.file: int | None = None
+        self.file: TextIO | None = None
 
     def begin(self, last_step: int) -> None:
         """Open the log, anew or, after `last_step` > 0, to go on.
@@ -29,30 +28,26 @@ class TrainingLog:
         with whole_file(self.path, "w") as file:
             csv.writer(file, lineterminator="\n").writerows(rows)
         # a row is one write in append mode: readers and a kill never see half of one
-        self.file = os.open(self.path, os.O_WRONLY | os.O_APPEND)
+        self.file = self.path.open("a", buffering=1, encoding="utf-8", newline="")
 
     def row(self, step: int, seconds: float, rate: float, numbers: Mapping[str, float]) -> None:
         """Add a row. `rate` is the learning rate against its first value."""
+        assert self.file is not None, "begin() comes first"
+        lines = csv.writer(self.file, lineterminator="\n")
         facts = {"step": step, "seconds": f"{seconds:.3f}", "rate": f"{rate:.6g}"}
         facts |= {name: f"{value:.6g}" for name, value in numbers.items()}
         if self.columns is None:
             self.columns = list(facts)
-            self._write(self.columns)
+            lines.writerow(self.columns)
         if list(facts) != self.columns:
             raise AssetError(f"{self.path}: columns should be {list(facts)}, are {self.columns}")
-        self._write([str(value) for value in facts.values()])
+        lines.writerow(facts.values())
 
     def close(self) -> None:
         """After the last row; a log that was never begun has nothing to close."""
         if self.file is not None:
-            os.close(self.file)
+            self.file.close()
             self.file = None
-
-    def _write(self, values: list[str]) -> None:
-        assert self.file is not None, "begin() comes first"
-        line = io.StringIO()
-        csv.writer(line, lineterminator="\n").writerow(values)
-        os.write(self.file, line.getvalue().encode())
 
 
 def _rows_until(path: Path, last_step: int) -> list[list[str]]:

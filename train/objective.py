@@ -4,44 +4,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from avatar.psnr import decibels
-from capture.template.surface import SurfaceCloud
 from train.deform import canonical_directions, posed_directions
 from train.field import FieldSample, PartField, unit_normals
 from train.light import LightTensors
 from train.loss import color_loss, color_norm_loss, displacement_loss, eikonal_loss, mask_logit_loss, mask_loss
 from train.preset import PartPreset, Preset
-from train.rays import TrainingRays
+from train.rays import RayTensors
 from train.render import crossing, density_weights, jittered, section_lengths, section_weights
 
 # another term of the loss: takes canonical points (n, 3) and F_s there (n), the latter with its graph
 Extra = Callable[[Tensor, Tensor], Tensor]
-
-
-@dataclass(frozen=True)
-class RayTensors:
-    ends: Float[Tensor, "rays ends 3"]
-    row: Int[Tensor, "rays ends"]
-    direction: Float[Tensor, "rays 3"]
-    frame: Int[Tensor, "rays"]
-    color: Float[Tensor, "rays 3"]
-    mask: Float[Tensor, "rays"]
-    bones: Float[Tensor, "frames 52 4"] | None
-    # the template samples' skin, heaviest bone first
-    joints: Int[Tensor, "samples 4"]
-    weights: Float[Tensor, "samples 4"]
-
-
-def ray_tensors(rays: TrainingRays, cloud: SurfaceCloud, device: torch.device) -> RayTensors:
-    put = lambda array: torch.as_tensor(np.ascontiguousarray(array)).to(device)
-    return RayTensors(put(rays.ends), put(rays.row), put(rays.direction), put(rays.frame).long(), put(rays.color),
-                      put(rays.mask), None if rays.bones is None else put(rays.bones),
-                      put(cloud.skin.joints).long(), put(cloud.skin.weights))  # fmt: skip
 
 
 def beta_at(iteration: int, part: PartPreset, preset: Preset) -> float:
@@ -265,14 +242,9 @@ def losses(
         on = mask > 0.5
         error = (drawn.color - observed)[on].square().mean() if on.any() else torch.tensor(1.0)
         return StepReport(
-            loss=loss.item(),
-            color=L_rgb.item(),
-            mask=L_mask.item(),
-            eikonal=L_E.item(),
-            displacement=L_nr.item(),
-            extra=0.0 if L_extra is None else L_extra.item(),
-            psnr=decibels(max(error.item(), 1e-10)),
+            loss=loss.item(), color=L_rgb.item(), mask=L_mask.item(), eikonal=L_E.item(), displacement=L_nr.item(),
+            extra=0.0 if L_extra is None else L_extra.item(), psnr=decibels(max(error.item(), 1e-10)),
             slope=drawn.gradient.norm(dim=-1).mean().item(),
-        )
+        )  # fmt: skip
 
     return loss, report

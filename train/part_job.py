@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -27,11 +28,11 @@ from train.distributed import ONE_PROCESS, Ranks
 from train.field import PartField
 from train.light import VideoLight
 from train.log import TrainingLog
-from train.objective import RayTensors, StepReport, ray_tensors
+from train.objective import StepReport
 from train.pose_correction import PoseCorrection
 from train.prefit import fit_template
 from train.preset import PartPreset, Preset
-from train.rays import FilmedPart, RaySettings, part_rays
+from train.rays import FilmedPart, RaySettings, RayTensors, part_rays
 from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, Position, Watch, peak_memory, train_field
 from train.union import write_rays
@@ -172,17 +173,13 @@ def _trained(job: PartJob, part: Untrained, reporter: Reporter) -> tuple[Positio
                     f"it breaks off: {share:.0%} of its template is more than {BROKEN_OFF * 100:.0f} cm from what is "
                     "learned; as it is, bake would keep the template"))  # fmt: skip
 
-    at, folder = Position(), Path(job.folder)
-    log = TrainingLog(folder / "logs", job.name) if job.ranks.writes else None
-    try:
-        train_field(
+    folder = Path(job.folder)
+    with closing(TrainingLog(folder / "logs", job.name)) as log:
+        at = train_field(
             part.field, part.rays, FieldTraining(part=job.settings, preset=job.preset, seed=job.seed, ranks=job.ranks),
             checkpoints=Checkpoints(path=folder / f"{job.name}.ckpt", resume=job.resume, every=job.save_every),
-            watch=Watch(report=report, log=log), at=at,
+            watch=Watch(report=report, log=log if job.ranks.writes else None),
         )  # fmt: skip
-    finally:
-        if log is not None:
-            log.close()
     return at, last
 
 
@@ -223,9 +220,8 @@ def part_untrained(job: PartJob, capture: Capture) -> Untrained:
     asked = max(job.preset.rays * settings.iterations // len(video.images), 1000)
     if name != "body":
         chosen = replace(chosen, per_frame=min(chosen.per_frame, asked))
-    rays = part_rays(filmed, chosen, generator)
     own = torch.from_numpy(cloud.points[cloud.part == job.index][::8].astype(np.float32))
-    return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost, own)
+    return Untrained(field, *part_rays(filmed, chosen, generator, device), own)
 
 
 def template_field(

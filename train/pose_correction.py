@@ -8,9 +8,8 @@ order and in the canonical frame of that bone, by the twist
     -(w x x + v),   w = sum over j above k of a_jk,   v = R_k^T s - sum over j above k of a_jk x p_jk
 
 with a_jk = R_k^T G_j d_j and p_jk = B_k^-1 p_j (G_j turn and p_j place of joint j in the world, B_k
-posed_from_canonical
-of bone k, R_k its turn). Twists are linear in the increments, and their matrices are fixed: a step costs one small
-product per frame and four blended twists per point, as skin weights blend bones.
+posed_from_canonical of bone k, R_k its turn). Twists are linear in the increments, and their matrices are fixed: a step
+costs one small product per frame and four blended twists per point, as skin weights blend bones.
 
 The corrections of all frames have mean zero. A turn that is the same in every frame is not seen in any: the field would
 turn against it, and the person would stand askew on its own skeleton.

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.spatial import KDTree
+from torch import Tensor
 
 from avatar.camera import pixel_rays
 from avatar.rotation import quaternion_from_matrix
@@ -27,6 +28,8 @@ from train.deform import apply_rows, canonical_from_posed, inverse_transforms
 
 # metres round the samples of a rigid head in which the nearest of them is looked up
 BESIDE = 0.045
+# steps of a ray at most
+STEPS = 72
 
 
 @dataclass(frozen=True)
@@ -42,19 +45,28 @@ class Band:
 
 
 @dataclass(frozen=True)
-class TrainingRays:
-    """Rays with their cached section ends, all canonical; R rays, E ends each."""
+class RayTensors:
+    """Rays with their cached section ends, on the training device."""
 
-    ends: Float[Array, "rays ends 3"]  # canonical, metres
+    ends: Float[Tensor, "rays ends 3"]  # canonical, metres
     # template sample that each end follows
-    row: Int[Array, "rays ends"]
+    row: Int[Tensor, "rays ends"]
     # unit, away from the camera; world (body, hands) or canonical (head)
-    direction: Float[Array, "rays 3"]
-    frame: Int[Array, "rays"]
-    color: Float[Array, "rays 3"]  # sRGB in [0, 1], black outside the mask
-    mask: Float[Array, "rays"]
+    direction: Float[Tensor, "rays 3"]
+    frame: Int[Tensor, "rays"]
+    color: Float[Tensor, "rays 3"]  # sRGB in [0, 1], black outside the mask
+    mask: Float[Tensor, "rays"]
     # posed_from_canonical, xyzw; None: rigid, canonical directions
-    bones: Float[Array, "frames 52 4"] | None
+    bones: Float[Tensor, "frames 52 4"] | None
+    # the template samples' skin, heaviest bone first
+    joints: Int[Tensor, "samples 4"]
+    weights: Float[Tensor, "samples 4"]
+
+
+class PartRays(NamedTuple):
+    """The rays of a video that train its part."""
+
+    rays: RayTensors
     # share of rays left out because their map to the canonical pose did not settle
     flagged: float
     # share of the chosen pixels on the person whose ray meets no template: too far from it, or lost on the way
@@ -104,12 +116,7 @@ class Samples(NamedTuple):
 
 
 def march(
-    origins: Float[Array, "n 3"],
-    directions: Float[Array, "n 3"],
-    template: Samples,
-    band: Band,
-    *,
-    iterations: int = 72,
+    origins: Float[Array, "n 3"], directions: Float[Array, "n 3"], template: Samples, band: Band
 ) -> tuple[Int[Array, "k"], Float[Array, "k"], Float[Array, "k"], Int[Array, "k"]]:
     """Steps of every ray inside the band around the (posed) template: ray, t, signed distance, nearest sample.
 
@@ -122,7 +129,7 @@ def march(
     bad = np.flatnonzero(~(np.abs((directions**2).sum(1) - 1) < 1e-3) | ~np.isfinite(origins).all(1))
     if len(bad):
         raise ValueError(f"ray {bad[0]}: expected a finite origin and a unit direction, is {directions[bad[0]]}")
-    cloud_points, gap = template.points, template.gap
+    cloud_points = template.points
     low, high = cloud_points.min(0) - band.outside, cloud_points.max(0) + band.outside
     safe = np.where(np.abs(directions) > 1e-12, directions, 1e-12)
     t0, t1 = (low - origins) / safe, (high - origins) / safe
@@ -133,7 +140,7 @@ def march(
     thin = cloud_points[:: max(len(cloud_points) // 1500, 1)]
     thin_tree = KDTree(thin)
     margin = float(thin_tree.query(cloud_points[::7])[0].max()) * 1.05
-    found: list[tuple[Array, ...]] = []
+    found: list[tuple[Array, ...]] = [(np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros(0, int))]
     reach = 3 * band.outside
     nearest = template.finder(reach)
     waiting = active
@@ -142,23 +149,19 @@ def march(
         jump = length - margin - band.outside
         t[waiting] += np.maximum(jump, 0)
         waiting = waiting[(jump > 0.3 * reach) & (t[waiting] < far[waiting])]
-        if len(waiting) == 0:
-            break
     active = active[t[active] < far[active]]
-    for _ in range(iterations):
+    for _ in range(STEPS):
         if len(active) == 0:
             break
         points = origins[active] + t[active, None] * directions[active]
         length, sample = nearest(points)
         length, sample = np.minimum(length, reach), np.minimum(sample, len(cloud_points) - 1)
-        distance = signed(points, length, cloud_points[sample], template.normals[sample], gap[sample])
+        distance = signed(points, length, cloud_points[sample], template.normals[sample], template.gap[sample])
         distance = np.where(length < reach, distance, reach)
         within = (length <= band.outside * 1.001) & (distance > -band.inside - band.step)
         found.append((active[within], t[active[within]], distance[within], sample[within]))
         t[active] += np.maximum(length - band.outside, band.step)
         active = active[(distance > -band.inside) & (t[active] < far[active])]
-    if not found:
-        return np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros(0, int)
     ray, at, distance, sample = (np.concatenate([step[i] for step in found]) for i in range(4))
     order = np.lexsort((at, ray))
     return ray[order], at[order], distance[order], sample[order]
@@ -210,9 +213,8 @@ class FilmedPart:
     @property
     def scale(self) -> float:
         """Canonical metres of a length in the video's frame."""
-        return (
-            1.0 if self.canonical_from_head is None else float(np.cbrt(np.linalg.det(self.canonical_from_head[:3, :3])))
-        )
+        M = self.canonical_from_head
+        return 1.0 if M is None else float(np.cbrt(np.linalg.det(M[:3, :3])))
 
     def posed(self, frame: int) -> PosedTemplate:
         """The template in a frame: as it is for a head, else skinned to the world, with its inverse maps (Eq. 3)."""
@@ -260,7 +262,7 @@ class RaySettings:
 
 
 class _FrameRays(NamedTuple):
-    """What a frame adds to TrainingRays, and how many of its rays are left out."""
+    """What a frame adds to RayTensors, and how many of its rays are left out."""
 
     rays: tuple[Array, ...] | None  # ends, row, direction, frame, color, mask; None: none of its rays trains the part
     meeting: int  # rays that meet the template in the part's box
@@ -269,7 +271,9 @@ class _FrameRays(NamedTuple):
     lost: int  # those of them that meet no template
 
 
-def part_rays(filmed: FilmedPart, settings: RaySettings, rng: np.random.Generator) -> TrainingRays:
+def part_rays(
+    filmed: FilmedPart, settings: RaySettings, rng: np.random.Generator, device: torch.device | str = "cpu"
+) -> PartRays:
     """The rays of a video that train its part.
 
     A pixel supervises a part when its ray first meets the template inside the part's box, or, for a ray that
@@ -289,11 +293,14 @@ def part_rays(filmed: FilmedPart, settings: RaySettings, rng: np.random.Generato
     kept = [one.rays for one in frames if one.rays is not None]
     if not kept:
         raise ValueError(f"no ray of the {filmed.video.part} video meets the template inside the {part.name} box")
-    end, row, direction, of_frame, color, on = (np.concatenate(columns) for columns in zip(*kept))
-    quaternions = np.stack(bones).astype(np.float32) if bones else None
+    put = lambda array: torch.as_tensor(np.ascontiguousarray(array)).to(device)
+    ends, row, direction, of_frame, color, on = (put(np.concatenate(columns)) for columns in zip(*kept))
+    quaternions = put(np.stack(bones).astype(np.float32)) if bones else None
+    joints, weights = put(cloud.skin.joints).long(), put(cloud.skin.weights)
+    rays = RayTensors(ends, row, direction, of_frame.long(), color, on, quaternions, joints, weights)
     flagged = sum(one.ambiguous for one in frames) / max(sum(one.meeting for one in frames), 1)
     lost = sum(one.lost for one in frames) / max(sum(one.pictured for one in frames), 1)
-    return TrainingRays(end, row, direction, of_frame, color, on, quaternions, flagged, lost)
+    return PartRays(rays, flagged, lost)
 
 
 def _frame_rays(
@@ -334,14 +341,8 @@ def _frame_rays(
         ends = apply_rows(posed.inverse, row[at].ravel(), ends.reshape(-1, 3)).reshape(ends.shape)
     pixel = pixels[which]
     color = video.images[frame][pixel[:, 0], pixel[:, 1]] / np.float32(255) * on[which][:, None]
-    columns = (
-        ends,
-        row[at].astype(np.int32),
-        directions[which],
-        np.full(len(which), frame, np.int32),
-        color,
-        on[which],
-    )
+    of_frame = np.full(len(which), frame, np.int32)
+    columns = (ends, row[at].astype(np.int32), directions[which], of_frame, color, on[which])
     rays = tuple(one if one.dtype == np.int32 else one.astype(np.float32) for one in columns)
     return _FrameRays(rays, meeting, ambiguous, pictured, lost)
 
@@ -373,13 +374,9 @@ def _first_steps(ray: Int[Array, "steps"]) -> Int[Array, "rays"]:
 
 
 def _choose_steps(
-    ray: Int[Array, "steps"],
-    distance: Float[Array, "steps"],
-    canonical: Float[Array, "steps 3"],
-    ok: Bool[Array, "steps"],
-    part: Part,
-    band: Band,
-) -> tuple[int, int, Bool[Array, "steps"]]:
+    ray: Int[Array, "steps"], distance: Float[Array, "steps"], canonical: Float[Array, "steps 3"],
+    ok: Bool[Array, "steps"], part: Part, band: Band,
+) -> tuple[int, int, Bool[Array, "steps"]]:  # fmt: skip
     """Steps that train the part: inside its box, of rays that meet the template there.
 
     Rays whose map to the canonical pose did not settle (`ok`) near the surface are left out whole.

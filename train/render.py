@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 # a logistic of scale .6 beta has about the width of VolSDF's Laplace density of scale beta (Yariv et al. 2021)
@@ -32,20 +32,15 @@ class Weights(NamedTuple):
     log_transmittance: Float[Tensor, "rays"]
 
 
-def section_weights(
-    distance: Float[Tensor, "rays ends"], beta: float, open_: Bool[Tensor, "rays sections"] | None = None
-) -> Weights:
-    """NeuS weights of the sections between consecutive ends; sections that are not `open_` have opacity 0.
+def section_weights(distance: Float[Tensor, "rays ends"], beta: float) -> Weights:
+    """NeuS weights of the sections between consecutive ends.
 
     weights.sum() + exp(log_transmittance) = 1 by construction: each weight is a difference of transmittances.
     """
     scaled = distance / (LOGISTIC_PER_BETA * beta)
     # beyond 1e6 the logistic is saturated many times over; unclamped, 10 m over 1e-30 would be infinite
     log_phi = F.logsigmoid(scaled.clamp(-1e6, 1e6))
-    passed = (log_phi[:, 1:] - log_phi[:, :-1]).clamp_max(0)
-    if open_ is not None:
-        passed = torch.where(open_, passed, 0.0)
-    return accumulated(passed)
+    return accumulated((log_phi[:, 1:] - log_phi[:, :-1]).clamp_max(0))
 
 
 def laplace_density(distance: Float[Tensor, "*batch"], beta: float | Float[Tensor, ""]) -> Float[Tensor, "*batch"]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from avatar.light import CaptureLight, light_from_json
 from avatar.skeleton import PARTS
@@ -41,7 +42,7 @@ WHAT = "a trained part of a run"
 class BakeSource:
     """What baking takes from a trained person."""
 
-    field: CanonicalField
+    field: CanonicalField[Tensor]
     surface: Surface
     subject: CaptureSubject
     # run.json: passed on to the avatar file
@@ -49,7 +50,7 @@ class BakeSource:
     # the body video's, in the world of the poses; None: the field's colors hold the light
     world_light: CaptureLight | None = None
     # the field with the surfaces of these parts as they were before they learned; None: nothing was learned
-    with_templates: Callable[[Collection[str]], CanonicalField] | None = None
+    with_templates: Callable[[Collection[str]], CanonicalField[Tensor]] | None = None
 
 
 @dataclass(frozen=True)
@@ -242,7 +243,7 @@ def _light(where: str, content: object) -> CaptureLight:
         raise AssetError(f"{where}: {error}") from None
 
 
-def read_run(path: Path | str, device: str = "cpu") -> Run:
+def read_run(path: Path | str) -> Run:
     """Read a run folder.
 
     Raises:
@@ -259,7 +260,7 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     fields = [read_part(path / f"{name}.pt", subject, i, own) for i, (name, own) in parts]
     correction = matrix_of(path, facts, "canonical_from_head_field")
     inverse = torch.tensor(np.linalg.inv(correction), dtype=torch.float32)
-    field = FusedField(fields, part_boxes(subject), inverse).to(device).eval().requires_grad_(False)
+    field = FusedField(fields, part_boxes(subject), inverse).eval().requires_grad_(False)
     field.eyes = read_eyes(path / "eyes.npz")
     lights = lights_of(path, facts)
     world = None

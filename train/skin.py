@@ -61,12 +61,10 @@ def harmonic_fill(skin: SkinWeights, known: Bool[Array, "vertices"], faces: Int[
 
     Patches that touch no known vertex keep what they had.
     """
-    free = np.flatnonzero(~known & anchored(known, faces))
-    if len(free) == 0:
+    free = ~known & anchored(known, faces)
+    if not free.any():
         return skin
-    given = np.ones(len(known), bool)
-    given[free] = False
-    filled = strongest_four(np.clip(fill_harmonic(dense_weights(skin), given, faces)[free], 0, None))
+    filled = strongest_four(np.clip(fill_harmonic(dense_weights(skin), ~free, faces)[free], 0, None))
     joints, weights = skin.joints.copy(), skin.weights.copy()
     joints[free], weights[free] = filled.joints, filled.weights
     return SkinWeights(joints, weights)

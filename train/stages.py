@@ -37,7 +37,7 @@ from train.command import TrainOptions
 from train.compose import HeadPlacement, TrainedParts, compose, consistent_placement, landmark_placement, timed
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
-from train.light import VideoLight, video_light
+from train.light import video_light
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset, chosen_preset
 from train.seen import seen_parts
@@ -84,11 +84,6 @@ class Training:
         """What `make` gives on the rank that writes, for all ranks."""
         return self.ranks.broadcast(make() if self.ranks.writes else cast(T, None))
 
-    def video_light(self, part: str, canonical_from_head: np.ndarray) -> VideoLight | None:
-        """A video's light as its part's rays meet it; None where light is no factor."""
-        light = self.lights.get(part)
-        return None if light is None else video_light(self.capture, part, light, canonical_from_head)
-
 
 def train(options: TrainOptions, preset: Preset | None = None) -> Path:
     """Train all parts, compose them, and write the run folder; `preset` replaces the one that the options name.
@@ -101,13 +96,12 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
         training = begin(options, chosen_preset(options) if preset is None else preset, held)
         if training is not None:
             training = prepared(training)
+            at = training.session.partial
             if training.preset.learns:
-                jobs = [part_job(training, training.session.partial, index) for index in HEAVIEST_FIRST]
-                finish(training, train_parts(training, jobs))
+                facts = train_parts(training, [part_job(training, at, index) for index in HEAVIEST_FIRST])
             else:
-                at = training.session.partial
                 facts = seen_parts(training.capture, training.preset, training.lights, at, options.seed)
-                finish(training, facts)
+            finish(training, facts)
     return options.out
 
 
@@ -174,14 +168,13 @@ def finish(training: Training, facts: dict[str, dict]) -> None:
     fields = read_fields(training, partial)
     torch.set_num_threads(os.cpu_count() or 1)
     progress = Progress("body, stage 2", preset.union.iterations)
-    alone = len(fields) == 1
-    meets = preset.learns and not alone
+    meets = preset.learns and len(fields) > 1
     with whole_folder(out) as folder:
-        lit = {part: training.video_light(part, head.canonical_from_head) for part in training.lights}
+        place = head.canonical_from_head
+        lights = {part: video_light(training.capture, part, light, place) for part, light in training.lights.items()}
         parts = TrainedParts(
             fields=fields, rays=read_rays(partial / "body.rays", torch.device(device)) if meets else None, head=head,
-            seed=training.options.seed, seconds=seconds,
-            lights={part: light for part, light in lit.items() if light is not None},
+            seed=training.options.seed, seconds=seconds, lights=lights,
         )  # fmt: skip
         person = compose(
             capture, parts, preset, training.say, device=device,
@@ -343,11 +336,12 @@ def _on_one_cpu(training: Training) -> bool:
 def part_job(training: Training, folder: Path, index: int) -> PartJob:
     """Stage 1 of one part, which leaves what it learned in `folder`."""
     options, place = training.options, training.head.canonical_from_head
+    name, light = PARTS[index], training.lights.get(PARTS[index])
     return PartJob(
         capture=str(training.capture.path), index=index, preset=training.preset, canonical_from_head=place,
         folder=str(folder), device=training.device, threads=1, ranks=training.ranks, seed=options.seed,
-        light=training.video_light(PARTS[index], place), resume=training.session.resumed,
-        save_every=options.save_every,
+        light=None if light is None else video_light(training.capture, name, light, place),
+        resume=training.session.resumed, save_every=options.save_every,
     )  # fmt: skip
 
 

@@ -97,12 +97,9 @@ _CORNERS = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 
 
 def template_grid(
-    cloud: SurfaceCloud,
-    low: Float[Array, "3"],
-    high: Float[Array, "3"],
-    cell: float,
+    cloud: SurfaceCloud, low: Float[Array, "3"], high: Float[Array, "3"], cell: float,
     closed: tuple[CaptureSubject, float] | None = None,
-) -> TemplateGrid:
+) -> TemplateGrid:  # fmt: skip
     """Distances to the template on a grid of cells of so many metres, as a tensor."""
     grid = distance_grid(cloud, low, high, cell, closed)
     return TemplateGrid(torch.from_numpy(grid.values), torch.from_numpy(grid.low), cell)

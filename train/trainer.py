@@ -17,8 +17,9 @@ from train.distributed import ONE_PROCESS, Ranks
 from train.field import PartField
 from train.log import TrainingLog
 from train.networks import FeatureGrid
-from train.objective import Batch, Extra, RayTensors, StepReport, beta_at, choose_rays, losses, rho_at
+from train.objective import Batch, Extra, StepReport, beta_at, choose_rays, losses, rho_at
 from train.preset import PartPreset, Preset
+from train.rays import RayTensors
 from train.weight_file import read_weights
 
 REPORT_EVERY = 10  # steps between rows of the log
@@ -131,17 +132,16 @@ def load_checkpoint(
 
 def train_field(
     field: PartField, rays: RayTensors, training: FieldTraining, *, checkpoints: Checkpoints = UNSAVED,
-    watch: Watch = UNWATCHED, at: Position | None = None,
-) -> int:  # fmt: skip
-    """Train a field in place; returns the number of steps skipped because they were not finite.
+    watch: Watch = UNWATCHED,
+) -> Position:  # fmt: skip
+    """Train a field in place; how far it came.
 
     A step whose loss or gradient is not finite changes nothing and is counted; more than 1 % of such steps is
     an error. A checkpoint (weights, optimiser, random state) is written every so many seconds, at the end,
     after `stop_after` steps, and at Ctrl-C or SIGTERM, which then raise `Stopped`; resuming from it equals never
-    having stopped, bit for bit on one thread. `at` counts the steps for the caller.
+    having stopped, bit for bit on one thread.
     """
-    at = Position() if at is None else at
-    steps = _Steps(field, rays, training)
+    at, steps = Position(), _Steps(field, rays, training)
     path, kept = checkpoints.path, (field, steps.optimiser, steps.generator, at)
     if checkpoints.resume and path is not None and path.exists():
         load_checkpoint(path, *kept)
@@ -168,7 +168,7 @@ def train_field(
                 save()
                 if stopping:
                     raise Stopped(stop.number or signal.SIGTERM)
-                return at.skipped
+                return at
             if time.monotonic() - saved > checkpoints.every:
                 save()
                 saved = time.monotonic()
@@ -179,7 +179,7 @@ def train_field(
     # after the last step: all is saved, but the caller goes no further
     if stop.number is not None:
         raise Stopped(stop.number)
-    return at.skipped
+    return at
 
 
 class _Steps:

@@ -1,6 +1,4 @@
-"""Stage 2 (TotalSelfScan, 3.3, 3.4): the body is refined to meet the other parts, L_union = L_body + L_g (Eq. 7,
-13).
-"""
+"""Stage 2 (TotalSelfScan, 3.3 and 3.4): the body meets the other parts, L_union = L_body + L_g (Eq. 7, 13)."""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -20,8 +18,9 @@ from files.whole import whole_file
 from geometry.mesh import face_normals
 from geometry.sample import lattice_samples
 from train.fused import FusedField
-from train.objective import Extra, RayTensors
+from train.objective import Extra
 from train.preset import PartPreset, Preset
+from train.rays import RayTensors
 from train.trainer import UNSAVED, UNWATCHED, Checkpoints, FieldTraining, Watch, train_field
 from train.weight_file import read_weights
 
@@ -141,11 +140,11 @@ def train_union(
     try:
         extra = geometry_loss(fused, surfaces, preset.parts, preset)
         training = FieldTraining(part=part, preset=settings, seed=seed, extra=extra)
-        skipped = train_field(body, rays, training, checkpoints=checkpoints, watch=watch)
+        at = train_field(body, rays, training, checkpoints=checkpoints, watch=watch)
     finally:
         body.requires_grad_(False)
     after = steps_apart(fused, surfaces)
-    return {"steps": union.iterations, "skipped": skipped, "step_mm_before": before, "step_mm_after": after}
+    return {"steps": union.iterations, "skipped": at.skipped, "step_mm_before": before, "step_mm_after": after}
 
 
 def write_rays(path: Path, rays: RayTensors) -> None:

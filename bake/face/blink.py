@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 from numpy import ndarray as Array
 
+from bake.face.lips import by_x
 from bake.face.template import FaceRefused
 
 # metres off the ball at which lids lie at rest, at least, and at which they end when they close
@@ -48,7 +49,7 @@ def fitted_blink(
     """
     edge, moved = points[loop] - center, blink[loop]
     upper = edges_of_lids(edge)
-    low = _by_x((edge + moved)[~upper])
+    low = by_x((edge + moved)[~upper])
     top = edge[upper]
     if not -moved[upper, 1].min() > 0.002:
         raise FaceRefused("its template's lids do not close over its eyes")
@@ -67,15 +68,11 @@ def fitted_blink(
     of_upper = np.clip(over_lower / 0.002, 0, 1) * below_brow
     fitted = blink * (below_brow * (1 + of_upper * (scale - 1)))[:, None]
     # what the edge still lacks, it gets with the skin just above it
-    lacks = _by_x(np.c_[top[:, 0], wanted + fitted[loop[upper], 1], top[:, 1]])
+    lacks = by_x(np.c_[top[:, 0], wanted + fitted[loop[upper], 1], top[:, 1]])
     above = np.clip(1 - (height - np.interp(x, lacks[:, 0], lacks[:, 2])) / ABOVE, 0, 1) * of_upper
     inwards = np.clip(np.minimum(x - lacks[0, 0], lacks[-1, 0] - x) / (0.5 * ALONG), 0, 1)
     fitted[:, 1] -= above * inwards * np.interp(x, lacks[:, 0], lacks[:, 1])
     return fitted
-
-
-def _by_x(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    return points[np.argsort(points[:, 0], kind="stable")]
 
 
 def outside(

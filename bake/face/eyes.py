@@ -167,15 +167,8 @@ def polar(axis: Float[Array, "3"], uv: Float[Array, "n 2"]) -> Float[Array, "n 3
     return np.stack(local, 1) @ frame(axis).T
 
 
-class SeenBall(NamedTuple):
-    """What a level shows of a ball, by directions from its center."""
-
-    directions: Float[Array, "n 3"]
-    colors: Float[Array, "n 3"]  # NaN where it shows none
-
-
-def seen_ball(opened: OpenEye, center: Float[Array, "3"], directions: Float[Array, "n 3"]) -> SeenBall:
-    """The colors of a level's ball in the given directions."""
+def ball_colors(opened: OpenEye, center: Float[Array, "3"], directions: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """What a level shows of a ball in directions from its center; NaN where it shows nothing."""
     level = opened.level
     corners = level.positions.astype(np.float64)[opened.ball] - center
     image = level.base_color.astype(np.float64) / 255
@@ -187,20 +180,17 @@ def seen_ball(opened: OpenEye, center: Float[Array, "3"], directions: Float[Arra
         if len(hit):
             share = weight[hit] / weight[hit].sum(1, keepdims=True)
             colors[hit] = sample_texture(image, share @ uv)
-    return SeenBall(directions, colors)
+    return colors
 
 
 def eye_axis(opened: OpenEye, center: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Where an eye looks at rest."""
+    """Where an eye looks at rest: the axis about which rings explain most of the luminance of what was seen."""
     v, u = np.meshgrid(np.linspace(0, 0.6, 46), np.linspace(0, 1, 121), indexing="ij")
-    return iris_axis(seen_ball(opened, center, polar(np.array([0.0, 0.0, 1.0]), np.stack([u, v], -1).reshape(-1, 2))))
-
-
-def iris_axis(seen: SeenBall) -> Float[Array, "3"]:
-    """The axis about which rings explain most of the luminance of what was seen."""
-    known = ~np.isnan(seen.colors[:, 0])
-    shown, light = seen.directions[known], seen.colors[known].mean(1)
     best, axis = np.inf, np.array([0.0, 0.0, 1.0])
+    directions = polar(axis, np.stack([u, v], -1).reshape(-1, 2))
+    colors = ball_colors(opened, center, directions)
+    known = ~np.isnan(colors[:, 0])
+    shown, light = directions[known], colors[known].mean(1)
     for pitch in AXES:
         for yaw in AXES:
             tried = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
@@ -222,7 +212,7 @@ def iris_picture(
     row, column = np.mgrid[:height, :width]
     uv = np.stack([(column.ravel() + 0.5) / width, (row.ravel() + 0.5) / height], 1)
     directions = polar(axis, uv)
-    colors = seen_ball(opened, center, directions).colors.reshape(height, width, 3)
+    colors = ball_colors(opened, center, directions).reshape(height, width, 3)
     edge = opened.level.positions.astype(np.float64)[opened.loop] - center
     edge /= np.linalg.norm(edge, axis=1, keepdims=True)
     inside = np.arccos(np.clip(directions @ edge.T, -1, 1)).min(1).reshape(height, width)

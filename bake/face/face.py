@@ -153,13 +153,8 @@ def joined_face(parts: Parted, mouth: Mouth, eyes: Sequence[tuple[Eye, Cap]], pi
     growing = growing._replace(level=with_strip(growing.level, pictures))
     for one, (eye, _) in zip(parts.opened, eyes):
         growing = with_rim(growing, one.edge, eye)
-    growing = growing.with_geometry(
-        mouth.points,
-        uv_in(MOUTH, mouth.uv, texels),
-        mouth.faces + len(growing.level.positions),
-        mouth.offsets,
-        parts.upper,
-    )
+    faces = mouth.faces + len(growing.level.positions)
+    growing = growing.with_geometry(mouth.points, uv_in(MOUTH, mouth.uv, texels), faces, mouth.offsets, parts.upper)
     balls, still = [], np.unique(growing.level.faces)
     least = np.full(len(growing.level.positions), STILL)
     least[-len(mouth.points) + 2 * len(parts.upper) :] = BEHIND_LIPS

@@ -75,13 +75,8 @@ def aligned(person: PersonFace, level: Level) -> PersonFace:
     off = brows_off(picture, brows, eyes.centres)
     for center, brow in zip(eyes.centres, brows):
         vertices[:, 1] += off * with_brow(vertices, brow, center)
-    return person._replace(
-        vertices=vertices,
-        inside=moved(person.inside),
-        parts=moved(person.parts),
-        eyes=eyes,
-        filmed=filmed,
-    )
+    inside, parts = moved(person.inside), moved(person.parts)
+    return person._replace(vertices=vertices, inside=inside, parts=parts, eyes=eyes, filmed=filmed)
 
 
 class FrontPicture(NamedTuple):

@@ -51,16 +51,17 @@ def lip_line(person: PersonFace) -> LipLine:
     """The middle of the template's seam."""
     upper, lower = (person.vertices[half] for half in person.face.seam)
     x = np.linspace(upper[0, 0], upper[-1, 0], STEPS)
-    place = [np.mean([_by_x(x, half, axis) for half in (upper, lower)], axis=0) for axis in (1, 2)]
+    ways = [by_x(half) for half in (upper, lower)]
+    place = [np.mean([np.interp(x, way[:, 0], way[:, axis]) for way in ways], axis=0) for axis in (1, 2)]
     width = max(1, int(KERNEL / (x[1] - x[0])))
     weight = np.hanning(2 * width + 3)[1:-1]
     smooth = [np.convolve(np.pad(one, width, mode="edge"), weight / weight.sum(), mode="valid") for one in place]
     return LipLine(x, *smooth)
 
 
-def _by_x(x: Float[Array, "n"], points: Float[Array, "k 3"], axis: int) -> Float[Array, "n"]:
-    order = np.argsort(points[:, 0], kind="stable")
-    return np.interp(x, points[order, 0], points[order, axis])
+def by_x(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """From right to left."""
+    return points[np.argsort(points[:, 0], kind="stable")]
 
 
 class CutLips(NamedTuple):

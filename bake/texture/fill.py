@@ -10,10 +10,9 @@ material's color anywhere is as smooth on the surface as its seen texels allow:
 
 c_m is the mean color of the material's seen texels round a vertex and w_m how much surface they cover there. An unseen
 texel may be of any material that the nearest seen places of its own piece (skin under hair is none of the hair's) which
-face its way are of, and is of one: the one whose color there lies nearest to what the field made of it, the
-more of these places it has the sooner. What the field made of it stays as far as it lies within NEAR of that
-color: a grey between two colors of a print is no color of the cloth. So skin beside skin becomes skin, and stripes stay
-stripes.
+face its way are of, and is of one: the one whose color there lies nearest to what the field made of it, the more of
+these places it has the sooner. What the field made of it stays as far as it lies within NEAR of that color: a grey
+between two colors of a print is no color of the cloth. So skin beside skin becomes skin, and stripes stay stripes.
 """
 
 from itertools import product
@@ -84,11 +83,9 @@ def round_limbs(
         own = (surface.piece[rows] == piece) & (surface.limb[rows] == limb)
         asked, given = rows[own], places[piece]
         stretch = np.eye(3) + (STRETCH - 1) * np.outer(surface.axes[limb], surface.axes[limb])
-        count = min(ROUND, len(given))
-        away, near = KDTree(surface.points[given] @ stretch).query(surface.points[asked] @ stretch, count, workers=-1)
-        near = given[near.reshape(len(asked), count)]
+        away, near = nearest_places(surface, given, asked, ROUND, stretch)
         facing = np.einsum("nkc,nc->nk", surface.normals[near], surface.normals[asked]) > FACING
-        weight = (facing + 1e-3) / (np.square(away.reshape(near.shape)) + SOFT**2)
+        weight = (facing + 1e-3) / (np.square(away) + SOFT**2)
         result[own] = np.einsum("nk,nkc->nc", weight / weight.sum(1, keepdims=True), color[near])
     return result
 
@@ -159,27 +156,26 @@ def material_shares(
         given, asked = seen_places(surface, seen, int(piece)), unseen[apart == piece]
         # one for all texels of a cell
         _, first, same = np.unique(cells(surface, asked), return_index=True, return_inverse=True)
-        share[apart == piece] = _piece_shares(surface, material, asked[first], given, count)[same]
+        asked, rows = asked[first], np.arange(len(first))
+        total = np.zeros((len(asked), count))
+        for near in nearest_places(surface, given, asked, VOTES, np.eye(3))[1].T:
+            cosine = (surface.normals[near] * surface.normals[asked]).sum(1)
+            total[rows, material[near]] += (cosine > FACING) + 1e-3
+        total /= total.sum(1, keepdims=True)
+        total[rows, total.argmax(1)] = 1.0
+        share[apart == piece] = total[same]
     return share
 
 
-def _piece_shares(
-    surface: TexelSurface,
-    material: Integer[Array, "texels"],
-    unseen: Integer[Array, "unseen"],
-    given: Integer[Array, "given"],
-    count: int,
-) -> Float[Array, "unseen materials"]:
-    votes = min(VOTES, len(given))
-    _, near = KDTree(surface.points[given]).query(surface.points[unseen], k=votes, workers=-1)
-    near = given[near.reshape(len(unseen), votes)]
-    total, rows = np.zeros((len(unseen), count)), np.arange(len(unseen))
-    for k in range(votes):
-        cosine = (surface.normals[near[:, k]] * surface.normals[unseen]).sum(1)
-        total[rows, material[near[:, k]]] += (cosine > FACING) + 1e-3
-    share = total / total.sum(1, keepdims=True)
-    share[np.arange(len(share)), share.argmax(1)] = 1.0
-    return share
+def nearest_places(
+    surface: TexelSurface, given: Integer[Array, "given"], asked: Integer[Array, "asked"], most: int,
+    stretch: Float[Array, "3 3"],
+) -> tuple[Float[Array, "asked near"], Integer[Array, "asked near"]]:  # fmt: skip
+    """Of the `given` texels the nearest to each that is asked, in stretched space, and how far they are."""
+    count = min(most, len(given))
+    found = KDTree(surface.points[given] @ stretch).query(surface.points[asked] @ stretch, count, workers=-1)
+    away, near = (values.reshape(len(asked), count) for values in found)
+    return away, given[near]
 
 
 def _spread_on_mesh(

@@ -68,11 +68,9 @@ def aligned_frames(
 
 
 def frame_shift(
-    drawn: Float[Array, "height width 3"],
-    frame: Float[Array, "height width 3"],
-    known: Bool[Array, "height width"],
+    drawn: Float[Array, "height width 3"], frame: Float[Array, "height width 3"], known: Bool[Array, "height width"],
     pixel: float,
-) -> Float[Array, "height width 2"]:
+) -> Float[Array, "height width 2"]:  # fmt: skip
     """How far beside each pixel (rows, columns) the frame shows what the texture shows there.
 
     `drawn` and `frame` hold colors, [0, 1], where `known`; `pixel` is a pixel's width on the person, metres.

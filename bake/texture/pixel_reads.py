@@ -6,6 +6,7 @@ outline or a depth jump, where a millimetre of geometry shows another place, har
 """
 
 from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -24,11 +25,10 @@ from bake.cone import ViewCone, clamped_tangent
 from bake.field import NumpyField
 from bake.level import Charted, lifted
 from bake.network import Distilled, SurfacePoints
-from bake.texture.texels import TexelMap, rasterise_charts
+from bake.texture.texels import TexelMap, bilinear, rasterise_charts
 from capture.folder import PartVideo
 from capture.template.hull import moved_camera
 from command.workers import on_all_cores
-from geometry.cells import nearest_marked
 from geometry.mesh import blended, component_labels
 from player.draw.raster import Fragments, Rasteriser
 
@@ -75,7 +75,7 @@ class AtlasMesh(NamedTuple):
     share: Float[Array, "corners 52"]  # skin weights, dense
     joints: Float[Array, "52 3"]
     texels: TexelMap
-    # for each texel of the atlas the row of `texels` that stands for it: itself or the nearest
+    # TexelMap.nearest_row of `texels`
     row_of: Integer[Array, "all"]
     # mean S and H (avatar/light.py) that the base color shows; None: light and albedo are not apart
     light: Float[Array, "corners 2"] | None
@@ -171,27 +171,13 @@ def view_change(field: NumpyField, charted: Charted, distilled: Distilled) -> Vi
 def atlas_mesh(level: Level, joints: Float[Array, "52 3"], chin: float | None = None) -> AtlasMesh:
     """A level ready to be read by pixels; `chin` as `AtlasMesh` has it."""
     uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
-    size = len(level.base_color)
-    texels = rasterise_charts(uv, faces, size)
-    covered = np.zeros((size, size), bool)
-    covered.reshape(-1)[texels.index] = True
-    row = np.full((size, size), -1, np.int32)
-    row.reshape(-1)[texels.index] = np.arange(len(texels.index), dtype=np.int32)
-    skin = level.skin
+    texels, skin = rasterise_charts(uv, faces, len(level.base_color)), level.skin
+    light = None if level.light is None else level.light.astype(np.float64)
     return AtlasMesh(
-        level.positions.astype(np.float64),
-        level.normals.astype(np.float64),
-        faces,
-        uv,
-        skin,
-        dense_weights(skin),
-        np.asarray(joints, np.float64),
-        texels,
-        row[nearest_marked(covered)].reshape(-1),
-        None if level.light is None else level.light.astype(np.float64),
-        pieces_of_faces(level.positions, faces),
-        chin,
-    )
+        level.positions.astype(np.float64), level.normals.astype(np.float64), faces, uv, skin, dense_weights(skin),
+        np.asarray(joints, np.float64), texels, texels.nearest_row().reshape(-1), light,
+        pieces_of_faces(level.positions, faces), chin,
+    )  # fmt: skip
 
 
 def pieces_of_faces(positions: Float[Array, "corners 3"], faces: Integer[Array, "faces 3"]) -> Integer[Array, "faces"]:
@@ -259,10 +245,9 @@ def vertex_importance(mesh: AtlasMesh, part: str) -> Float[Array, "corners"]:
 
 def pixel_size(video: PartVideo, mesh: AtlasMesh, head_from_canonical: Float[Array, "4 4"]) -> float:
     """Metres of a pixel where the video's own part is, in its middle frame."""
-    frames = list(posed_frames(mesh, video, head_from_canonical))
-    own = vertex_importance(mesh, video.part) > 0.5
-    sizes = []
-    for frame in frames[:: max(len(frames) // 4, 1)]:
+    own, sizes = vertex_importance(mesh, video.part) > 0.5, []
+    step = max(len(video.cameras) // 4, 1)
+    for frame in islice(posed_frames(mesh, video, head_from_canonical), 0, None, step):
         view = frame.camera.camera_from_world
         depth = frame.vertices[own] @ view[2, :3] + view[2, 3]
         sizes.append(float(np.median(depth)) / frame.camera.K[0, 0])
@@ -270,14 +255,9 @@ def pixel_size(video: PartVideo, mesh: AtlasMesh, head_from_canonical: Float[Arr
 
 
 def video_reads(
-    mesh: AtlasMesh,
-    video: PartVideo,
-    head_from_canonical: Float[Array, "4 4"],
-    rasteriser: Rasteriser,
-    samples: int,
-    light: CaptureLight | None = None,
-    change: ViewChange | None = None,
-) -> Iterator[PixelReads]:
+    mesh: AtlasMesh, video: PartVideo, head_from_canonical: Float[Array, "4 4"], rasteriser: Rasteriser, samples: int,
+    light: CaptureLight | None = None, change: ViewChange | None = None,
+) -> Iterator[PixelReads]:  # fmt: skip
     """What the pixels of each frame read, `samples` x `samples` places a pixel.
 
     `light` is divided out of them, and what they show because of where they were seen from (`change`) taken off.
@@ -327,14 +307,9 @@ def drawn_finer(rasteriser: Rasteriser, mesh: AtlasMesh, frame: PosedFrame, samp
 
 
 def frame_reads(
-    mesh: AtlasMesh,
-    frame: PosedFrame,
-    drawn: Fragments,
-    image: UInt8[Array, "height width 3"],
-    sure: Bool[Array, "height width"],
-    belief: Belief,
-    lit: FrameLight | None = None,
-) -> PixelReads:
+    mesh: AtlasMesh, frame: PosedFrame, drawn: Fragments, image: UInt8[Array, "height width 3"],
+    sure: Bool[Array, "height width"], belief: Belief, lit: FrameLight | None = None,
+) -> PixelReads:  # fmt: skip
     """The pixels of one frame that lie on the person as a whole; `sure` are those of its mask."""
     height, width = sure.shape
     s = drawn.face.shape[0] // height
@@ -370,14 +345,8 @@ def frame_reads(
 
 def bilinear_reads(uv: Float[Array, "pixels samples 2"], mesh: AtlasMesh) -> csr_matrix:
     """Pixels x rows of the texel map: the mean over samples of what a bilinear filter reads."""
-    size = mesh.size
-    place = np.clip(uv * size - 0.5, 0, size - 1)
-    low = np.minimum(np.floor(place).astype(np.int32), size - 2)
-    share = (place - low).astype(np.float32)
-    first = low[..., 1] * size + low[..., 0]
-    texel = np.stack([first, first + 1, first + size, first + size + 1], -1)
-    x, y = share[..., 0], share[..., 1]
-    value = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], -1) / np.float32(uv.shape[1])
+    texel, weight = bilinear(uv, mesh.size)
+    value = weight / np.float32(uv.shape[1])
     pixels, each = len(uv), uv.shape[1] * 4
     pointers = np.arange(pixels + 1, dtype=np.int32) * each
     shape = (pixels, len(mesh.texels.index))

@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from scipy.sparse import csr_matrix
 
 from avatar.texture import sample_texture
-from bake.texture.texels import TexelMap
+from bake.texture.texels import TexelMap, bilinear
 from geometry.mesh import half_edges
 
 # weight of keeping a texel as it was sampled: one that shows surface, one that only bilinear filtering reads
@@ -33,6 +33,10 @@ class ChartEdges(NamedTuple):
     left: Integer[Array, "edges 2"]  # atlas vertices at its two ends
     # the same two ends in the other chart
     right: Integer[Array, "edges 2"]
+
+    def places(self, uv: Float[Array, "corners 2"], t: float | Array) -> list[Float[Array, "edges 2"]]:
+        """Texture coordinates of a point so far along each edge, in both charts."""
+        return [(1 - t) * uv[side[:, 0]] + t * uv[side[:, 1]] for side in self]
 
 
 def chart_edges(
@@ -61,11 +65,9 @@ def seam_steps(
     uv: Float[Array, "corners 2"], edges: ChartEdges, image: UInt8[Array, "height width channels"], *, samples: int = 5
 ) -> Float[Array, "steps"]:
     """Step (bytes, worst channel) between the two sides of every chart edge, at points along it, in one mip."""
-    if len(edges.left) == 0:
-        return np.zeros(0)
     steps = []
     for t in (np.arange(samples) + 0.5) / samples:
-        one, other = (sample_texture(image, (1 - t) * uv[side[:, 0]] + t * uv[side[:, 1]]) for side in edges)
+        one, other = (sample_texture(image, place) for place in edges.places(uv, t))
         steps.append(np.abs(one - other).max(1))
     return np.concatenate(steps)
 
@@ -74,10 +76,7 @@ def inward(
     uv: Float[Array, "corners 2"], faces: Integer[Array, "faces 3"], side: Integer[Array, "edges 2"]
 ) -> Float[Array, "edges 2"]:
     """Unit direction in the atlas from each chart edge into its chart, square to the edge."""
-
-    def key(ends: Array) -> Array:
-        return ends.min(1).astype(np.int64) * len(uv) + ends.max(1)
-
+    key = lambda ends: ends.min(1).astype(np.int64) * len(uv) + ends.max(1)
     keys, apex = key(half_edges(faces)), faces[:, [2, 0, 1]].T.ravel()
     order = np.argsort(keys, kind="stable")
     third = apex[order[np.searchsorted(keys[order], key(side))]]
@@ -87,27 +86,21 @@ def inward(
 
 
 def seen_steps(
-    uv: Float[Array, "corners 2"],
-    faces: Integer[Array, "faces 3"],
-    edges: ChartEdges,
-    image: UInt8[Array, "height width channels"],
-    picture: UInt8[Array, "_size _size channels"],
-) -> Float[Array, "steps"]:
+    uv: Float[Array, "corners 2"], faces: Integer[Array, "faces 3"], edges: ChartEdges,
+    image: UInt8[Array, "height width channels"], picture: UInt8[Array, "_size _size channels"],
+) -> Float[Array, "steps"]:  # fmt: skip
     """What is seen of the steps of `seam_steps` in a mip: how far (bytes, worst channel) they exceed the steps of the
     finest `picture`, as it was before closing, between places half a texel of the mip or one inside of the two charts.
 
     Where print or a fold crosses a chart edge a picture without charts steps there as well, and no line shows.
     """
-    if len(edges.left) == 0:
-        return np.zeros(0)
-    sides = [(side, inward(uv, faces, side) / len(image)) for side in edges]
-    seen = []
+    inwards, seen = [inward(uv, faces, side) / len(image) for side in edges], []
     for t in (np.arange(5) + 0.5) / 5:
-        places = [((1 - t) * uv[side[:, 0]] + t * uv[side[:, 1]], into) for side, into in sides]
-        one, other = (sample_texture(image, place) for place, _ in places)
+        places = edges.places(uv, t)
+        one, other = (sample_texture(image, place) for place in places)
         own = np.zeros_like(one)
         for away in (0.5, 1.0):
-            left, right = (sample_texture(picture, place + away * into) for place, into in places)
+            left, right = (sample_texture(picture, place + away * into) for place, into in zip(places, inwards))
             own = np.maximum(own, np.abs(left - right))
         seen.append((np.abs(one - other) - own).max(1))
     return np.maximum(np.concatenate(seen), 0)
@@ -148,12 +141,9 @@ class _Unknowns(NamedTuple):
 
 
 def solve_seams(
-    image: Float[Array, "height width channels"],
-    texels: TexelMap,
-    uv: Float[Array, "corners 2"],
-    edges: ChartEdges,
+    image: Float[Array, "height width channels"], texels: TexelMap, uv: Float[Array, "corners 2"], edges: ChartEdges,
     levels: int,
-) -> Float[Array, "height width channels"]:
+) -> Float[Array, "height width channels"]:  # fmt: skip
     """The image with its chart edges closed in the first `levels` mips, no texel beyond the colors of the two sides.
 
     Least squares within bounds over every texel that a point on a chart edge reads in any of these mips:
@@ -289,8 +279,8 @@ def _chain(uv: Float[Array, "corners 2"], edges: ChartEdges, size: int, levels: 
     chain: list[_Mip] = []
     for number in range(levels):
         wide = size >> number
-        rows, columns, values, count = edge_reads(uv, edges, wide)
-        texels, place = np.unique(columns, return_inverse=True)
+        points = edge_reads(uv, edges, wide)
+        texels, place = np.unique(points.indices, return_inverse=True)
         finer, rest = None, np.ones((len(texels), 1), np.float32)
         if chain:
             below = chain[-1].texels
@@ -301,8 +291,9 @@ def _chain(uv: Float[Array, "corners 2"], edges: ChartEdges, size: int, levels: 
             shape = (len(texels), len(below))
             finer = csr_matrix((np.full(len(below), 0.25, np.float32), (parent, np.arange(len(below)))), shape)
             rest = (1 - 0.25 * np.bincount(parent, minlength=len(texels))).astype(np.float32)[:, None]
-        weight = float(np.sqrt(AGREE * 1024 / size * GROW**number))
-        reads = csr_matrix((np.float32(weight) * values.astype(np.float32), (rows, place)), (count, len(texels)))
+        values = np.float32(np.sqrt(AGREE * 1024 / size * GROW**number)) * points.data.astype(np.float32)
+        reads = csr_matrix((values, place, points.indptr), (len(points.indptr) - 1, len(texels)))
+        reads.sum_duplicates()
         chain.append(_Mip(texels, reads, finer, rest))
     return chain
 
@@ -320,8 +311,8 @@ def _owners(chain: list[_Mip], size: int) -> Integer[Array, "all"]:
     return owner.reshape(-1)
 
 
-def edge_reads(uv: Float[Array, "corners 2"], edges: ChartEdges, size: int) -> tuple[Array, Array, Array, int]:
-    """Bilinear reads of points along the edges in a mip: rows (points), texels, weights, and how many points.
+def edge_reads(uv: Float[Array, "corners 2"], edges: ChartEdges, size: int) -> csr_matrix:
+    """Bilinear reads of points along the edges in a mip: points x texels, duplicates not summed yet.
 
     DENSE points a texel, ends included, on the longer of the two sides; the right side counts negative.
     """
@@ -330,19 +321,10 @@ def edge_reads(uv: Float[Array, "corners 2"], edges: ChartEdges, size: int) -> t
     edge = np.repeat(np.arange(len(counts)), counts)
     along = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
     t = (along / np.maximum(counts - 1, 1)[edge])[:, None]
-    columns, values = [], []
-    for side, sign in zip(edges, (1.0, -1.0), strict=True):
-        place = ((1 - t) * uv[side[edge, 0]] + t * uv[side[edge, 1]]) * size - 0.5
-        place = np.clip(place, 0, size - 1)
-        low = np.minimum(np.floor(place).astype(np.int64), size - 2)
-        share = place - low
-        for right in (0, 1):
-            for down in (0, 1):
-                columns.append((low[:, 1] + down) * size + low[:, 0] + right)
-                x = share[:, 0] if right else 1 - share[:, 0]
-                y = share[:, 1] if down else 1 - share[:, 1]
-                values.append(sign * x * y)
-    return np.tile(np.arange(len(edge)), 8), np.concatenate(columns), np.concatenate(values), len(edge)
+    places = ChartEdges(edges.left[edge], edges.right[edge]).places(uv, t)
+    (left, left_weight), (right, right_weight) = (bilinear(place, size) for place in places)
+    weight, texel = np.concatenate([left_weight, -right_weight], 1), np.concatenate([left, right], 1)
+    return csr_matrix((weight.ravel(), texel.ravel(), 8 * np.arange(len(edge) + 1)), (len(edge), size * size))
 
 
 def _means(chain: list[_Mip], x: Float[Array, "unknowns channels"]) -> list[tuple[_Mip, Float[Array, "_ channels"]]]:

@@ -15,6 +15,10 @@ JITTER = np.array([[0.0, 0.0], [-0.1, -0.37], [0.37, 0.1], [-0.27, 0.27]])
 # texels this far outside their chart are still given the surface that lies there: bilinear filtering reads
 # them at a chart's edge, and both sides of the edge then see the same surface
 SKIRT = 1.5
+# texels outside of its triangle up to which a sample keeps its barycentric coordinates
+BEYOND = 2.5
+# a texel's centre differs from its neighbours by so little that more samples would not change its byte by one
+CONTRAST = 4 / 255
 
 
 class TexelMap(NamedTuple):
@@ -29,6 +33,36 @@ class TexelMap(NamedTuple):
 
     def rows(self, chosen: Integer[Array, "rows"]) -> "TexelMap":
         return TexelMap(self.index[chosen], self.face[chosen], self.inside[chosen], self.size)
+
+    def row_of(self) -> Integer[Array, "size size"]:
+        """The row of each texel of the atlas; -1 where it shows no surface."""
+        row = np.full((self.size, self.size), -1, np.int32)
+        row.reshape(-1)[self.index] = np.arange(len(self.index), dtype=np.int32)
+        return row
+
+    def nearest_row(self) -> Integer[Array, "size size"]:
+        """The row that stands for each texel of the atlas: its own or the nearest."""
+        row = self.row_of()
+        return row[nearest_marked(row >= 0)]
+
+
+def neighbour_pairs(texels: TexelMap) -> Integer[Array, "pairs 2"]:
+    """Rows of texels that lie side by side in the atlas, each pair once."""
+    row = texels.row_of()
+    across = np.stack([row[:, :-1].ravel(), row[:, 1:].ravel()], 1)
+    down = np.stack([row[:-1].ravel(), row[1:].ravel()], 1)
+    pairs = np.concatenate([across, down])
+    return pairs[(pairs >= 0).all(1)]
+
+
+def bilinear(uv: Float[Array, "*n 2"], size: int) -> tuple[Integer[Array, "*n 4"], Float[Array, "*n 4"]]:
+    """The texels (row * size + column) that a bilinear filter reads at texture coordinates, and their weights."""
+    place = np.clip(uv * size - 0.5, 0, size - 1)
+    low = np.minimum(np.floor(place).astype(np.int32), size - 2)
+    share = (place - low).astype(uv.dtype)
+    first, x, y = low[..., 1] * size + low[..., 0], share[..., 0], share[..., 1]
+    texels = np.stack([first, first + 1, first + size, first + size + 1], -1)
+    return texels, np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], -1)
 
 
 def rasterise_charts(
@@ -123,16 +157,11 @@ def _away(
 
 
 def barycentric(
-    uv: Float[Array, "corners 2"],
-    faces: Integer[Array, "faces 3"],
-    texels: TexelMap,
-    jitter: Float[Array, "2"],
-    *,
-    reach: float = 2.5,
+    uv: Float[Array, "corners 2"], faces: Integer[Array, "faces 3"], texels: TexelMap, jitter: Float[Array, "2"]
 ) -> Float[Array, "texels 3"]:
     """Barycentric coordinates of each texel's sample in its triangle; they leave [0, 1] on the skirt.
 
-    At most `reach` texels outside: in a triangle thinner than a texel the coordinates would run away, so they
+    At most BEYOND texels outside: in a triangle thinner than a texel the coordinates would run away, so they
     are clamped to the triangle there.
     """
     corners = uv[faces[texels.face]] * texels.size
@@ -154,50 +183,31 @@ def barycentric(
     result[flat] = line[flat]
     outside = np.flatnonzero((result[:, 0] < 0) | (result[:, 1] < 0) | (result[:, 2] < 0))
     beyond = _away(uv[faces] * texels.size, texels.face[outside], p[outside] + corners[outside, 0])
-    wild = outside[(beyond > reach) | (np.abs(result[outside]).max(1) > 50)]
+    wild = outside[(beyond > BEYOND) | (np.abs(result[outside]).max(1) > 50)]
     clipped = np.clip(result[wild], 0, None)
     result[wild] = clipped / clipped.sum(1, keepdims=True)
     return result
 
 
-def spread(values: Float[Array, "texels channels"], texels: TexelMap, rest: float = 0.0) -> Array:
-    """Image (size, size, channels) with every uncovered texel set to the nearest covered one's value."""
-    image = np.full((texels.size * texels.size, values.shape[1]), rest)
-    image[texels.index] = values
-    image = image.reshape(texels.size, texels.size, -1)
-    covered = np.zeros(texels.size * texels.size, bool)
-    covered[texels.index] = True
-    if not covered.any():
-        return image
-    covered = covered.reshape(texels.size, texels.size)
-    return image[nearest_marked(covered)]
+def spread(values: Float[Array, "texels channels"], texels: TexelMap) -> Float[Array, "size size channels"]:
+    """The image with every uncovered texel set to the nearest covered one's value; black where none is covered."""
+    if not len(values):
+        return np.zeros((texels.size, texels.size, values.shape[1]))
+    return values[texels.nearest_row()]
 
 
 def sample_texels(
-    color: Callable[[Integer[Array, "rows"], Array], Float[Array, "rows 3"]],
-    texels: TexelMap,
-    *,
-    contrast: float = 4 / 255,
+    color: Callable[[Integer[Array, "rows"], Array], Float[Array, "rows 3"]], texels: TexelMap, *,
     samples: int = len(JITTER),
-) -> Float[Array, "texels 3"]:
+) -> Float[Array, "texels 3"]:  # fmt: skip
     """Mean color of each texel: its centre, and up to `samples` in all where neighbours differ.
 
     color(rows, jitter) returns the color of those rows of `texels` at their centres moved by jitter (texels);
-    the centres of all rows are asked first. Where a centre differs from its neighbours by no more than
-    `contrast`, more samples would not change its byte by one.
+    the centres of all rows are asked first.
     """
     first = color(np.arange(len(texels.index)), JITTER[0])
-    grid = np.full((texels.size * texels.size, 3), np.nan, np.float32)
-    grid[texels.index] = first
-    grid = grid.reshape(texels.size, texels.size, 3)
-    busy = np.zeros((texels.size, texels.size), bool)
-    across = np.abs(np.diff(grid, axis=1)).max(-1) > contrast  # NaN compares False
-    down = np.abs(np.diff(grid, axis=0)).max(-1) > contrast
-    busy[1:] |= down
-    busy[:-1] |= down
-    busy[:, 1:] |= across
-    busy[:, :-1] |= across
-    rows = np.flatnonzero(busy.reshape(-1)[texels.index])
+    pairs, shown = neighbour_pairs(texels), first.astype(np.float32)
+    rows = np.unique(pairs[np.abs(shown[pairs[:, 0]] - shown[pairs[:, 1]]).max(1) > CONTRAST])
     if len(rows) == 0:
         return first
     result = first.copy()

@@ -18,7 +18,6 @@ from jaxtyping import Float, Integer
 from numpy import ndarray as Array
 from scipy.sparse import csgraph, csr_matrix, diags
 
-from bake.texture.texels import TexelMap
 from command.workers import on_all_cores
 from geometry.least_squares import factorised
 
@@ -45,18 +44,6 @@ class Prior(NamedTuple):
     smooth: Float[Array, "texels"]  # mu
 
 
-def neighbour_pairs(texels: TexelMap) -> Integer[Array, "pairs 2"]:
-    """Rows of texels that lie side by side in the atlas, each pair once."""
-    size = texels.size
-    row = np.full(size * size, -1, np.int32)
-    row[texels.index] = np.arange(len(texels.index), dtype=np.int32)
-    row = row.reshape(size, size)
-    across = np.stack([row[:, :-1].ravel(), row[:, 1:].ravel()], 1)
-    down = np.stack([row[:-1].ravel(), row[1:].ravel()], 1)
-    pairs = np.concatenate([across, down])
-    return pairs[(pairs >= 0).all(1)]
-
-
 def laplacian(pairs: Integer[Array, "pairs 2"], weight: Float[Array, "pairs"], count: int) -> csr_matrix:
     """sum over pairs of weight (x_i - x_j)^2 = x^T L x, float32."""
     rows, columns = np.r_[pairs, pairs[:, ::-1]].T
@@ -65,13 +52,9 @@ def laplacian(pairs: Integer[Array, "pairs 2"], weight: Float[Array, "pairs"], c
 
 
 def solve_change(
-    equations: list[Equations],
-    prior: Prior,
-    pairs: Integer[Array, "pairs 2"],
-    *,
-    stiff: Equations | None = None,
+    equations: list[Equations], prior: Prior, pairs: Integer[Array, "pairs 2"], *, stiff: Equations | None = None,
     rounds: int = ROUNDS,
-) -> Float[Array, "texels channels"]:
+) -> Float[Array, "texels channels"]:  # fmt: skip
     """The change d of the atlas, float32.
 
     `stiff` are equations of few texels each, as those of agreement: they are solved for as a whole in each round.
@@ -108,11 +91,9 @@ def row_blocks(matrix: csr_matrix, columns: int) -> list[csr_matrix]:
 
 
 def conjugate_gradients(
-    apply: Callable[[Array], Array],
-    precondition: Callable[[Array], Array],
-    residual: Float[Array, "texels channels"],
+    apply: Callable[[Array], Array], precondition: Callable[[Array], Array], residual: Float[Array, "texels channels"],
     rounds: int,
-) -> Float[Array, "texels channels"]:
+) -> Float[Array, "texels channels"]:  # fmt: skip
     """Some rounds from zero towards apply(change) = residual, which is used up."""
     change = np.zeros_like(residual)
     scaled = precondition(residual)

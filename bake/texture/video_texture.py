@@ -33,13 +33,12 @@ from bake.texture.pixel_reads import (
     video_reads,
 )
 from bake.texture.seams import edge_reads
-from bake.texture.texels import TexelMap, atlas_areas, barycentric, spread
+from bake.texture.texels import TexelMap, atlas_areas, barycentric, neighbour_pairs, spread
 from bake.texture.texture_solve import (
     ROUNDS,
     Equations,
     Prior,
     ShownRange,
-    neighbour_pairs,
     shown_range,
     solve_change,
     within_shown,
@@ -90,13 +89,9 @@ class VideoTexture(NamedTuple):
 
 
 def with_video_textures(
-    levels: list[BakedLevel],
-    places: list[PlacesOnFinest],
-    joints: Float[Array, "52 3"],
-    videos: RunVideos,
-    report: Callable[[str], None] = lambda line: None,
-    change: ViewChange | None = None,
-) -> tuple[list[BakedLevel], Facts]:
+    levels: list[BakedLevel], places: list[PlacesOnFinest], joints: Float[Array, "52 3"], videos: RunVideos,
+    report: Callable[[str], None] = lambda line: None, change: ViewChange | None = None,
+) -> tuple[list[BakedLevel], Facts]:  # fmt: skip
     """The levels with their base color solved against the videos, and what the file says of it.
 
     `places` are those of the coarser levels; `change` is what the finest level shows beyond its base color, where a
@@ -126,12 +121,9 @@ class ReadVideos(NamedTuple):
 
 
 def solve_texture(
-    baked: BakedLevel,
-    joints: Float[Array, "52 3"],
-    videos: RunVideos,
-    report: Callable[[str], None],
+    baked: BakedLevel, joints: Float[Array, "52 3"], videos: RunVideos, report: Callable[[str], None],
     change: ViewChange | None = None,
-) -> VideoTexture:
+) -> VideoTexture:  # fmt: skip
     """The atlas of a level solved against the videos; see the module."""
     mesh = atlas_mesh(baked.level, joints, videos.chin)
     given = (baked.level.base_color.reshape(-1, 3)[mesh.texels.index] / np.float32(255)).astype(np.float32)
@@ -141,19 +133,16 @@ def solve_texture(
     stay = STAY * (found.texel / found.pixel[found.part]) ** STAY_POWER
     smooth = SMOOTH if change is None and not videos.estimated else SMOOTH_UNSURE
     prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
-    # what frames are moved onto need not be solved to the end
-    rounds = ROUNDS // 2 if videos.estimated else ROUNDS
     equations, belief = found.equations, [np.ones(1, np.float32)] * len(PARTS)
-    solution = solve_change(equations, prior, pairs, stiff=seams, rounds=rounds)
     if videos.estimated:
-        for move in range(MOVES):
-            if move:
-                solution = solve_change(equations, prior, pairs, stiff=seams, rounds=rounds)
-            equations = moved_onto(found, given, solution, facts)
+        for _ in range(MOVES):
+            # what frames are moved onto need not be solved to the end
+            blurred = solve_change(equations, prior, pairs, stiff=seams, rounds=ROUNDS // 2)
+            equations = moved_onto(found, given, blurred, facts)
         moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
         report(f"frames moved onto the texture they agree on, mm: {moved}")
-        belief = [doubted(own, solution) for own in equations]
-        solution = solve_change(equations, prior, pairs, stiff=seams)
+        belief = [doubted(own, blurred) for own in equations]
+    solution = solve_change(equations, prior, pairs, stiff=seams)
     surface = texel_surface(mesh, found.texel)
     solved = np.clip(within_shown(given + solution, given, surface.points, found.ranges), 0, 1)
     for name, own, sure in zip(PARTS, equations, belief, strict=True):
@@ -186,20 +175,15 @@ def moved_onto(
 
 
 def read_videos(
-    mesh: AtlasMesh,
-    given: Float[Array, "texels 3"],
-    videos: RunVideos,
-    change: ViewChange | None,
-    facts: Facts,
+    mesh: AtlasMesh, given: Float[Array, "texels 3"], videos: RunVideos, change: ViewChange | None, facts: Facts,
     report: Callable[[str], None],
-) -> ReadVideos:
+) -> ReadVideos:  # fmt: skip
     """The equations of all videos on the atlas `given`. What the file says of each video goes into `facts`."""
     texel = texel_sizes(mesh)
     part = part_of_corners(mesh)[mesh.faces[mesh.texels.face]].max(1)
     frames, faced = np.zeros((2, len(given)))
     found = ReadVideos([], [], [], frames, faced, np.full(len(PARTS), np.inf), texel, part)
-    context = open_context()
-    try:
+    with open_context() as context:
         rasteriser = Rasteriser(context)
         for index, name in enumerate(PARTS):
             video = videos.video(name)
@@ -225,8 +209,6 @@ def read_videos(
                 f"{len(read.equations.wanted) / 1e6:.1f} M pixels, {read.rms * 255:.1f} of 255 beside the field's"
             )
         rasteriser.release()
-    finally:
-        context.release()
     return found
 
 
@@ -300,16 +282,17 @@ def _rms(left: Float[Array, "rows 3"], root: Float[Array, "rows"]) -> float:
 
 def seam_equations(mesh: AtlasMesh, baked: BakedLevel, given: Float[Array, "texels 3"]) -> Equations:
     """Points on chart edges look the same from both sides in the finest mip."""
-    rows, columns, values, count = edge_reads(mesh.uv, baked.edges, mesh.size)
-    matrix = csr_matrix((values.astype(np.float32), (rows, mesh.row_of[columns])), (count, len(given)))
-    matrix = (matrix * np.float32(np.sqrt(AGREE))).tocsr()
+    points = edge_reads(mesh.uv, baked.edges, mesh.size)
+    parts = (np.float32(np.sqrt(AGREE)) * points.data.astype(np.float32), mesh.row_of[points.indices], points.indptr)
+    matrix = csr_matrix(parts, (len(points.indptr) - 1, len(given)))
+    matrix.sum_duplicates()
     return Equations(matrix, -(matrix @ given))
 
 
 def texel_sizes(mesh: AtlasMesh) -> Float[Array, "texels"]:
     """Metres of each texel's side on the surface."""
-    corners = mesh.uv[mesh.faces] * mesh.size
-    side = np.sqrt(face_areas(mesh.positions, mesh.faces) / np.maximum(atlas_areas(corners), 1e-6))
+    areas = atlas_areas(mesh.uv[mesh.faces] * mesh.size)
+    side = np.sqrt(face_areas(mesh.positions, mesh.faces) / np.maximum(areas, 1e-6))
     middle = np.median(side[mesh.texels.face])
     return np.clip(side, 0.1 * middle, 10 * middle)[mesh.texels.face]
 
@@ -325,17 +308,15 @@ def averaged(video: PartVideo, k: int) -> PartVideo:
         return video
     frames, height, width = video.masks.shape
     rows, columns = height // k, width // k
-
-    def blocks(images: Array) -> Array:
-        return images[:, : rows * k, : columns * k].reshape(frames, rows, k, columns, k, *images.shape[3:])
-
+    blocks = lambda of: of[:, : rows * k, : columns * k].reshape(frames, rows, k, columns, k, *of.shape[3:])
     images = np.stack([np.round(one.mean((1, 3))).astype(np.uint8) for one in blocks(video.images)])
-    cameras = []
-    for camera in video.cameras:
-        scale = np.diag([1 / k, 1 / k, 1.0])
-        cameras.append(Camera(scale @ camera.K, camera.camera_from_world, (columns, rows), camera.distortion))
+    scale = np.diag([1 / k, 1 / k, 1.0])
+    cameras = tuple(
+        Camera(scale @ camera.K, camera.camera_from_world, (columns, rows), camera.distortion)
+        for camera in video.cameras
+    )
     unsure = None if video.unsure is None else blocks(video.unsure).any((2, 4))
-    return replace(video, images=images, masks=blocks(video.masks).all((2, 4)), cameras=tuple(cameras), unsure=unsure)
+    return replace(video, images=images, masks=blocks(video.masks).all((2, 4)), cameras=cameras, unsure=unsure)
 
 
 def texel_surface(mesh: AtlasMesh, texel: Float[Array, "texels"]) -> TexelSurface:

@@ -15,7 +15,7 @@ from avatar.camera import Camera, pixel_rays, project
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, skin_points
 from bake.cone import ViewCone, clamped_tangent, cone_direction, interpolated, view_cone
-from bake.cores import one_thread
+from bake.field import one_thread
 from player.draw.raster import Rasteriser
 from synth.photo import block_sum
 from train.fused import FusedField

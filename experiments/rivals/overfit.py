@@ -12,9 +12,10 @@ from experiments.rivals import anisdf
 from experiments.rivals.density import first_frames
 from experiments.rivals.single import place_read_from, single_preset, single_untrained
 from train.command import TrainOptions
-from train.objective import Batch, RayTensors, functions_of, render_rays
+from train.objective import Batch, functions_of, render_rays
 from train.part_job import PartJob
 from train.preset import Preset
+from train.rays import RayTensors
 from train.trainer import FieldTraining, flushed_denormals, train_field
 
 

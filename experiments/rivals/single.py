@@ -39,10 +39,9 @@ from train.distributed import leave_ranks
 from train.networks.hash import HashNetworks
 from train.networks.paper import PaperNetworks
 from train.networks.triplane import TriPlaneNetworks
-from train.objective import RayTensors, ray_tensors
 from train.part_job import PartJob, Untrained, ray_settings
 from train.preset import PartPreset, Preset, chosen_preset, without
-from train.rays import FilmedPart, part_rays
+from train.rays import FilmedPart, RayTensors, part_rays
 from train.run import build_field, matrix_of, read_facts, read_part, write_part
 from train.session import digest_of
 from train.stages import Training, begin, finish, part_job, prepared, read_fields, train_parts
@@ -101,10 +100,11 @@ def single_rays(job: PartJob, capture: Capture, preset: Preset) -> tuple[RayTens
         cloud = surface_cloud(subject, index, visible, settings.spacing)
         filmed = FilmedPart(part_boxes(subject)[index], capture.videos[name], subject, cloud,
                             job.canonical_from_head if name == "head" else None)  # fmt: skip
-        rays = part_rays(filmed, ray_settings(settings, preset), np.random.default_rng([job.seed, index]))
-        each.append(ray_tensors(rays, cloud, torch.device(job.device)))
-        flagged.append(rays.flagged * len(rays.ends))
-        lost.append(rays.lost)
+        generator = np.random.default_rng([job.seed, index])
+        found = part_rays(filmed, ray_settings(settings, preset), generator, job.device)
+        each.append(found.rays)
+        flagged.append(found.flagged * len(found.rays.ends))
+        lost.append(found.lost)
         clouds.append(cloud)
     counts = [len(capture.videos[name].images) for name in PARTS]
     left_out = sum(flagged) / sum(len(rays.ends) for rays in each)

@@ -94,8 +94,8 @@ def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small
         asked.append(set(names))
         return run.field
 
-    broken = replace(run, field=run.field._replace(distance=lost), with_templates=with_templates)
-    origin, clock = run_surface(run.surface, 52), _Clock(lines.append)
+    broken = replace(run, field=replace(run.field, distance=lost), with_templates=with_templates)
+    origin, clock = run_surface(run.surface), _Clock(lines.append)
     found = extracted(broken, origin, small, clock)
     assert asked == [{"hand_left"}] and list(found.given_up) == ["hand_left"]
     assert not broken_parts(found.extraction.mesh, origin.vertices, origin.part)

@@ -61,7 +61,8 @@ UNLIT = CanonicalField(
     normal=lambda points: torch.tensor([0.0, 1.0, 0.0]).expand(len(points), 3),
     color=lambda points, directions: 0.5 + 0 * points,
 )
-FIELD = UNLIT._replace(
+FIELD = replace(
+    UNLIT,
     light_normal=lambda points: torch.tensor([0.6, 0.8, 0.0]).expand(len(points), 3),
     seen_light=lambda points, normals: torch.stack([1 + 0.1 * normals[:, 1], 0.01 * points[:, 0]], 1),
 )

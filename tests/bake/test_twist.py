@@ -46,6 +46,15 @@ def test_the_skin_of_the_52_joints_is_the_one_before_to_the_last_bit(avatar):
         assert (levels[0].twist.joints >= 52).any(1).mean() > 0.1
 
 
+def test_room_is_made_of_the_weakest_weight_also_where_three_are_alike():
+    level = mannequin(texture=64).levels[0]
+    joints, weights = level.joints.copy(), level.weights.copy()
+    shoulder = JOINTS.index("left_shoulder")
+    joints[0], weights[0] = [shoulder, *(JOINTS.index(f"spine{k}") for k in (1, 2, 3))], [249, 2, 2, 2]
+    made = with_room(replace(level, joints=joints, weights=weights))
+    assert made.weights[0].tolist() == [249, 0, 4, 2]
+
+
 def test_in_the_pose_of_the_mesh_nothing_moves(twisted):
     points = posed(twisted, twisted.canonical_pose, "twist")
     np.testing.assert_allclose(points, twisted.levels[0].positions, atol=1e-6)

@@ -15,7 +15,7 @@ from avatar.camera import Camera, orbit_camera
 from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
 from bake.cone import ViewCone, cone_direction
-from bake.level import level_of_file, places_on_finest
+from bake.level import places_on_finest
 from bake.run_capture import run_videos
 from bake.texture import video_texture
 from bake.texture.fill import NEAR, TexelSurface, filled_colors
@@ -30,11 +30,12 @@ from bake.texture.pixel_reads import (
     posed_frames,
     vertex_importance,
 )
-from bake.texture.texels import TexelMap
-from bake.texture.texture_solve import Equations, Prior, neighbour_pairs, shown_range, solve_change, within_shown
+from bake.texture.texels import TexelMap, neighbour_pairs
+from bake.texture.texture_solve import Equations, Prior, shown_range, solve_change, within_shown
 from bake.texture.video_texture import averaged, averaging, doubted, solve_texture, strange_on_hair
 from capture.folder import PartVideo, read_capture
 from command.errors import AssetError
+from experiments.texture import level_of_file
 from geometry.mesh import TriangleMesh
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer

@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 from charted_ball import charted_ball
 from filmed_part import FoundVideos
-from scipy.sparse import coo_matrix, csr_matrix, identity
+from scipy.sparse import csr_matrix, identity
 
 from avatar.camera import orbit_camera
 from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
 from avatar.texture import bytes_of, mipmaps
-from bake.level import BakedLevel, level_of_file
+from bake.level import BakedLevel
 from bake.texture.pixel_reads import atlas_mesh
 from bake.texture.seams import edge_reads, solve_seams
-from bake.texture.texels import TexelMap, spread
-from bake.texture.texture_solve import Equations, Prior, neighbour_pairs, solve_change
+from bake.texture.texels import TexelMap, neighbour_pairs, spread
+from bake.texture.texture_solve import Equations, Prior, solve_change
 from bake.texture.video_texture import solve_texture
 from capture.folder import PartVideo
+from experiments.texture import level_of_file
 from player.scene.mannequin import mannequin
 
 STAY, MIX = 0.06, 0.24
@@ -193,8 +194,9 @@ def test_contrasts_of_one_texel_across_chart_edges_stay_within_what_was_seen(pat
     given = np.full_like(seen, 0.4)
     row_of = np.zeros(size * size, int)
     row_of[texels.index] = np.arange(len(texels.index))
-    rows, columns, values, count = edge_reads(chart.uv, edges, size)
-    agree = coo_matrix((values, (rows, row_of[columns])), (count, len(seen))).tocsr().astype(np.float32)
+    points = edge_reads(chart.uv, edges, size)
+    agree = csr_matrix((points.data, row_of[points.indices], points.indptr), (points.shape[0], len(seen)))
+    agree = agree.astype(np.float32)
     own = csr_matrix(identity(len(seen), np.float32))
     equations = [Equations(own, (seen - given).astype(np.float32)), Equations(agree, -(agree @ given))]
     prior = Prior(np.full(len(seen), STAY), np.full(len(seen), MIX))

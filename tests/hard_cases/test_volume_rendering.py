@@ -10,6 +10,7 @@ from train.loss import color_loss, color_norm_loss, displacement_loss, eikonal_l
 from train.render import (
     LOGISTIC_PER_BETA,
     Weights,
+    accumulated,
     crossing,
     density_weights,
     jittered,
@@ -172,11 +173,11 @@ def test_sections_of_no_length_stop_nothing_and_have_finite_gradients():
 
 def test_rays_with_all_samples_culled_let_all_light_through_and_pull_at_nothing():
     open_ = torch.zeros(2, 8, dtype=torch.bool)
-    distance = torch.linspace(0.1, -0.1, 9).repeat(2, 1).requires_grad_()
-    rendered = section_weights(distance, 1e-3, open_)
+    passed = torch.linspace(-0.1, -2, 8).repeat(2, 1).requires_grad_()
+    rendered = accumulated(torch.where(open_, passed, 0.0))
     assert (rendered.weights == 0).all() and (rendered.log_transmittance == 0).all()
     loss = mask_loss(rendered.log_transmittance, torch.tensor([0.0, 1.0])) + rendered.weights.square().sum()
-    (gradient,) = torch.autograd.grad(loss, distance)
+    (gradient,) = torch.autograd.grad(loss, passed)
     assert torch.isfinite(loss) and (gradient == 0).all()
 
 

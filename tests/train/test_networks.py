@@ -13,7 +13,7 @@ from train import run as run_folder
 from train.networks.hash import HashGrid, HashNetworks, take_rows
 from train.networks.paper import PaperGeometry, PaperNetworks, SkipLayers, input_sizes
 from train.networks.triplane import TriPlaneNetworks
-from train.objective import Batch, choose_rays, losses, ray_tensors, rho_at
+from train.objective import Batch, choose_rays, losses, rho_at
 from train.part_job import ray_settings
 from train.prefit import fit_template
 from train.preset import DEMO, FAST, PAPER, shortened
@@ -249,8 +249,7 @@ def hand(tiny_capture):
         preset = SMALL[name]
         own = replace(preset.parts[2], iterations=60, networks=SIZES[name], cell=0.006, spacing=0.006)
         settings = replace(ray_settings(own, preset), per_frame=300)
-        rays = part_rays(filmed, settings, np.random.default_rng(0))
-        return preset, own, untrained(filmed, own, 4), ray_tensors(rays, filmed.cloud, torch.device("cpu"))
+        return preset, own, untrained(filmed, own, 4), part_rays(filmed, settings, np.random.default_rng(0)).rays
 
     prepared.subject = capture.subject
     return prepared

@@ -10,7 +10,7 @@ from filmed_part import filmed_part, rays_of, untrained
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import PARTS, skin_transforms
 from capture.fit.refine import copy_refined, poses_refined, refined_path, with_learned, with_refined, write_learned
-from train.objective import Batch, losses, ray_tensors
+from train.objective import Batch, losses
 from train.part_job import PartJob, _keep_poses
 from train.pose_correction import PoseCorrection
 from train.preset import DEMO
@@ -117,7 +117,7 @@ def hand(capture):
     """The left hand's untrained field and its rays."""
     filmed, settings = filmed_part(capture), DEMO.parts[2]
     rays = rays_of(filmed, settings, ends=14, per_frame=400)
-    return untrained(filmed, settings, 4, seed=2), ray_tensors(rays, filmed.cloud, torch.device("cpu"))
+    return untrained(filmed, settings, 4, seed=2), rays
 
 
 def test_losses_of_colour_and_mask_reach_the_poses_and_wait_until_somebody_shows(capture):

@@ -28,7 +28,7 @@ from train import part_job, stages
 from train import run as run_folder
 from train.fused import FusedField
 from train.networks.triplane import TriPlaneNetworks
-from train.objective import Batch, functions_of, ray_tensors, render_rays
+from train.objective import Batch, functions_of, render_rays
 from train.pose_correction import PoseCorrection
 from train.preset import PRESETS
 from train.render import jittered
@@ -41,7 +41,7 @@ from train.trainer import Checkpoints, FieldTraining, Watch, train_field
 def hand(capture):
     filmed = filmed_part(capture)
     rays = rays_of(filmed, TINY.parts[2], ends=18, per_frame=300)
-    return lambda: untrained(filmed, TINY.parts[2], 4), ray_tensors(rays, filmed.cloud, torch.device("cpu"))
+    return lambda: untrained(filmed, TINY.parts[2], 4), rays
 
 
 def by(**changes):
@@ -130,7 +130,7 @@ def test_one_step_that_is_not_finite_is_skipped_and_counted_and_training_goes_on
     field, short = build(), build()
     reports = []
     report = lambda iteration, step: reports.append((iteration, step))
-    skipped = train_field(field, rays, by(extra=planted(6)), watch=Watch(report=report))
+    skipped = train_field(field, rays, by(extra=planted(6)), watch=Watch(report=report)).skipped
     assert skipped == 1
     assert np.isnan(reports[-1][1].loss) and np.isfinite(reports[-1][1].color)
     train_field(short, rays, by(extra=planted()), checkpoints=Checkpoints(stop_after=5))

@@ -19,7 +19,6 @@ from experiments.variants import VARIANTS, SwitchedField, seam_steps, variant
 from train.appearance import match_appearance, overlap_rays
 from train.field import unit_normals
 from train.fused import FusedField
-from train.objective import ray_tensors
 from train.preset import DEMO
 from train.rays import FilmedPart
 from train.run import build_field, read_run
@@ -213,10 +212,9 @@ def untrained(capture):
         template = template_grid(cloud, part.extent.low, part.extent.high, 0.006)
         fields.append(build_field(subject, index, TINY.parts[index], template, 4))
         if index == 0:
-            own = rays_of(
+            rays = rays_of(
                 FilmedPart(part, capture.videos["body"], subject, cloud), TINY.parts[0], ends=14, per_frame=3000
             )
-            rays = ray_tensors(own, cloud, torch.device("cpu"))
     return FusedField(fields, parts, torch.eye(4)).eval().requires_grad_(False), rays
 
 

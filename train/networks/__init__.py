@@ -9,7 +9,8 @@ All take points in the part's unit box, [-1, 1] in each axis (`PartField.unit`):
     displacement(unit, frame)                             -> T_nr in metres
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Annotated, NamedTuple
 
 import torch
@@ -28,6 +29,11 @@ class FeatureGrid(nn.Module):
 
     def open_for(self, share: float) -> None:
         """Open the detail that counts once `share` of the training is done; nothing, if all counts from the start."""
+
+
+def layers(sizes: Sequence[int], activation: Callable[[], nn.Module] = nn.ReLU) -> nn.Sequential:
+    """Fully connected layers, an activation behind each."""
+    return nn.Sequential(*(one for size in pairwise(sizes) for one in (nn.Linear(*size), activation())))
 
 
 class Geometry(nn.Module):
@@ -80,9 +86,7 @@ class SmallColor(nn.Module):
         super().__init__()
         self.planes = planes
         inputs = 39 + feature + 3 + 9 + appearance + planes_give
-        self.network = nn.Sequential(
-            nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 3)
-        )
+        self.network = nn.Sequential(*layers([inputs, width, width]), nn.Linear(width, 3))
 
     def forward(self, at: ColorInputs) -> Float[Tensor, "n 3"]:
         """sRGB in [0, 1]."""

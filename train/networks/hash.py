@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from train.deform import Displacement
-from train.networks import FeatureGrid, Layers, PartNetworks, SmallColor, TemplateCorrection, frame_codes
+from train.networks import FeatureGrid, Layers, PartNetworks, SmallColor, TemplateCorrection, frame_codes, layers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,10 +42,7 @@ class HashNetworks:
         appearance = frame_codes(frames, self.appearance)
         color = SmallColor(None, width=self.width, feature=self.feature, appearance=self.appearance)
         width = self.width
-        trunk = nn.Sequential(
-            nn.Linear(3 + 6 * 4 + self.displacement, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(),
-            nn.Linear(width, width), nn.ReLU(),
-        )  # fmt: skip
+        trunk = layers([3 + 6 * 4 + self.displacement, width, width, width])
         displacement = Displacement(
             frame_codes(frames, self.displacement), trunk, width=width, frequencies=4, reach=displacement_reach
         )

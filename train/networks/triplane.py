@@ -1,6 +1,7 @@
 """Networks of the `demo` preset: features on three planes and small MLPs, the fastest to learn on a CPU."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import torch
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from train.deform import Displacement, positional_encoding
-from train.networks import FeatureGrid, PartNetworks, SmallColor, TemplateCorrection, frame_codes
+from train.networks import FeatureGrid, PartNetworks, SmallColor, TemplateCorrection, frame_codes, layers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +35,7 @@ class TriPlaneNetworks:
         color = SmallColor(planes, width=self.width, feature=self.feature, appearance=self.appearance,
                            planes_give=3 * self.color_channels)  # fmt: skip
         code, width = frame_codes(frames, self.displacement), self.width
-        inputs = 3 + 6 * 4 + self.displacement
-        trunk = nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        trunk = layers([3 + 6 * 4 + self.displacement, width, width])
         displacement = Displacement(code, trunk, width=width, frequencies=4, reach=displacement_reach)
         return PartNetworks(geometry, appearance, color, displacement)
 
@@ -43,9 +43,9 @@ class TriPlaneNetworks:
 class TriPlane(FeatureGrid):
     """Features of a point: bilinear look-ups on three axis-aligned planes, side by side."""
 
-    def __init__(self, channels: int, size: int, *, start: float = 1e-2):
+    def __init__(self, channels: int, size: int):
         super().__init__()
-        self.planes = nn.Parameter(start * torch.randn(3, channels, size, size))
+        self.planes = nn.Parameter(1e-2 * torch.randn(3, channels, size, size))
 
     def forward(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
         """Beyond the unit box the border repeats."""
@@ -61,10 +61,7 @@ class TriPlaneGeometry(TemplateCorrection):
         super().__init__()
         self.planes = TriPlane(networks.plane_channels, networks.plane_size)
         width = networks.width
-        trunk = nn.Sequential(
-            nn.Linear(3 * networks.plane_channels + 27, width), nn.Softplus(beta=100),
-            nn.Linear(width, width), nn.Softplus(beta=100),
-        )  # fmt: skip
+        trunk = layers([3 * networks.plane_channels + 27, width, width], partial(nn.Softplus, beta=100))
         self.add_layers(trunk, width=width, feature=networks.feature, reach=networks.reach)
 
     def encoded(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
