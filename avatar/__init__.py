@@ -58,21 +58,8 @@ _MODULES = {
     "command.errors": ("AssetError",),
 }
 _PUBLIC = {name: module for module, names in _MODULES.items() for name in names}
-__all__ = [
-    "JOINTS",
-    "AssetError",
-    "Avatar",
-    "Camera",
-    "Clip",
-    "Motion",
-    "look_at",
-    "pinhole",
-    "read_avatar",
-    "read_motion",
-    "resample",
-    "write_amass",
-    "write_avatar",
-]
+__all__ = ["JOINTS", "AssetError", "Avatar", "Camera", "Clip", "Motion", "look_at", "pinhole", "read_avatar",
+           "read_motion", "resample", "write_amass", "write_avatar"]  # fmt: skip
 
 
 def __getattr__(name: str) -> object:

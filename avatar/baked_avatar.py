@@ -180,11 +180,9 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
     joints, weights, seen = level["joints"], level["weights"], level["view_seen"]
     _check_rows(joints.max(axis=1) < 52, f"{where}.joints", "below 52", joints)
     _check_rows(weights.sum(axis=1, dtype=int) == 255, f"{where}.weights", "a sum of 255", weights)
-    twice = np.zeros(count, dtype=bool)
-    for a in range(4):
-        for b in range(a):
-            twice |= (joints[:, a] == joints[:, b]) & (weights[:, a] > 0) & (weights[:, b] > 0)
-    _check_rows(~twice, f"{where}.joints", "each joint once among weights above 0", joints)
+    # slots of weight 0 count as joints of their own
+    used = np.sort(np.where(weights > 0, joints, 300 + np.arange(4)), axis=1)
+    _check_rows(np.all(np.diff(used) > 0, axis=1), f"{where}.joints", "each joint once among weights above 0", joints)
     _check_rows((seen >= 0) & (seen <= 1), f"{where}.view_seen", "from 0 to 1", seen)
     if level.get("twist") is not None:
         _check_twist(level["twist"], joints, weights, where)
@@ -260,8 +258,7 @@ def _check_twist(twist: TwistSkin, joints: Array, weights: Array, where: str) ->
 
 def check_avatar(avatar: Avatar) -> None:
     """Refuse an avatar that breaks a promise of these records, with a ValueError that says which."""
-    for name in ("joint_positions", "canonical_pose"):
-        values = getattr(avatar, name)
+    for name, values in (("joint_positions", avatar.joint_positions), ("canonical_pose", avatar.canonical_pose)):
         _check_array(values, name, values.dtype.name, (52, 3))
         if not np.issubdtype(values.dtype, np.floating):
             raise ValueError(f"{name} should be floating point, is {values.dtype}")
@@ -282,23 +279,21 @@ def check_avatar(avatar: Avatar) -> None:
     twisted = [level.twist is not None for level in avatar.levels]
     if any(twisted) != all(twisted):
         raise ValueError("twist should be in all levels or in none of them")
-    if avatar.bend is None:
-        for i, level in enumerate(avatar.levels):
-            if level.twist is not None:
-                count = BONES - len(BEND_JOINTS)
-                right = level.twist.joints.max(axis=1) < count
-                _check_rows(right, f"levels[{i}].twist.joints", f"below {count} without bend", level.twist.joints)
-    else:
+    if avatar.bend is not None:
         _check_array(avatar.bend, "bend", avatar.bend.dtype.name, (len(BENDS),))
         if not all(twisted):
             raise ValueError("bend should be beside twist, is without")
+    for i, level in enumerate(avatar.levels):
+        if avatar.bend is None and level.twist is not None:
+            joints, count = level.twist.joints, BONES - len(BEND_JOINTS)
+            _check_rows(joints.max(axis=1) < count, f"levels[{i}].twist.joints", f"below {count} without bend", joints)
     _check_eyes(avatar)
     sizes = [len(level.faces) for level in avatar.levels]
     if sizes != sorted(sizes, reverse=True):
         raise ValueError(f"levels should go from finest to coarsest, have {sizes} faces")
     if avatar.network is not None:
         for name, shape in NETWORK_ARRAYS.items():
-            _check_array(getattr(avatar.network, name), f"network.{name}", "float32", shape)
+            _check_array(vars(avatar.network)[name], f"network.{name}", "float32", shape)
     if avatar.linear is not None:
         _check_array(avatar.linear, "linear", "float32", (4, 3, 3))
     if not (np.isfinite(avatar.amplitude) and 0 <= avatar.amplitude <= 1):
@@ -307,17 +302,13 @@ def check_avatar(avatar: Avatar) -> None:
         json.dumps(avatar.provenance, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"provenance should be what JSON holds: {error}") from None
-    _check_default_view(avatar)
-
-
-def _check_default_view(avatar: Avatar) -> None:
-    if avatar.default_view not in VIEW_MODES:
-        raise ValueError(f"default_view should be one of {VIEW_MODES}, is {avatar.default_view!r}")
-    if avatar.default_view != "off":
-        if getattr(avatar, avatar.default_view) is None:
-            raise ValueError(f"default_view is {avatar.default_view!r}, but the avatar has no {avatar.default_view}")
-        if avatar.levels[0].features is None:
-            raise ValueError(f"default_view is {avatar.default_view!r}, but levels[0] has no features")
+    view = avatar.default_view
+    if view not in VIEW_MODES:
+        raise ValueError(f"default_view should be one of {VIEW_MODES}, is {view!r}")
+    if view != "off" and vars(avatar)[view] is None:
+        raise ValueError(f"default_view is {view!r}, but the avatar has no {view}")
+    if view != "off" and avatar.levels[0].features is None:
+        raise ValueError(f"default_view is {view!r}, but levels[0] has no features")
 
 
 def _check_array(values: object, where: str, dtype: str, shape: tuple[int, ...]) -> None:
@@ -327,13 +318,11 @@ def _check_array(values: object, where: str, dtype: str, shape: tuple[int, ...])
     fits = values.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, values.shape, strict=True))
     if values.dtype.name != dtype or not fits or values.size == 0:
         raise ValueError(f"{where} should be {expected}, is {values.dtype} {values.shape}")
-    if values.dtype.kind == "f":
-        finite = np.isfinite(values)
-        if not finite.all():
-            first = tuple(int(i) for i in np.argwhere(~finite)[0])
-            raise ValueError(f"{where} should be finite, is {values[first]} at {first}")
-        if np.abs(values).max() > 1e8:
-            raise ValueError(f"{where} should be below 1e8, reaches {np.abs(values).max()}")
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        first = tuple(np.argwhere(~np.isfinite(values))[0].tolist())
+        raise ValueError(f"{where} should be finite, is {values[first]} at {first}")
+    if values.dtype.kind == "f" and np.abs(values).max() > 1e8:
+        raise ValueError(f"{where} should be below 1e8, reaches {np.abs(values).max()}")
 
 
 def _check_rows(right: Array, where: str, expected: str, values: Array) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.rotation import quaternion_from_axis_angle, quaternion_inverse, quaternion_product, unit_or_zero
+from avatar.rotation import affine, quaternion_from_axis_angle, quaternion_inverse, quaternion_product, unit_or_zero
 from avatar.skeleton import JOINTS, PARENTS
 
 
@@ -34,15 +34,12 @@ class Bend(NamedTuple):
     both: bool
 
 
-BENDING = (("elbow", "wrist", True), ("knee", "ankle", True), ("shoulder", "elbow", False))
 BENDS: dict[str, Bend] = {
     f"{side}_{joint}": Bend(JOINTS.index(f"{side}_{joint}"), JOINTS.index(f"{side}_{child}"), both)
     for side in ("left", "right")
-    for joint, child, both in BENDING
+    for joint, child, both in (("elbow", "wrist", True), ("knee", "ankle", True), ("shoulder", "elbow", False))
 }
-BEND_JOINTS: tuple[str, ...] = tuple(
-    f"{name}_bend{k}" for name, bend in BENDS.items() for k in ((0, 1) if bend.both else (1,))
-)
+BEND_JOINTS = tuple(f"{name}_bend{k}" for name, bend in BENDS.items() for k in ((0, 1) if bend.both else (1,)))
 # for each bend joint: which of BENDS, and whether it is the child of the joint itself
 _OF = np.array([k for k, bend in enumerate(BENDS.values()) for _ in range(1 + bend.both)])
 _OWN = np.array([name.endswith("1") for name in BEND_JOINTS])
@@ -75,9 +72,11 @@ class BendJoints:
         """parent_from_bend_joint: unit quaternions and places, metres."""
         half, outwards = self._halves(pose)
         back = quaternion_inverse(quaternion_from_axis_angle(np.asarray(pose[..., _JOINT, :], np.float64)))
-        own, of = _OWN[:, None], _OF
+        own, of, u, w = _OWN[:, None], _OF, back[..., :3], back[..., 3:]
         turns = np.where(own, quaternion_product(back, half)[..., of, :], half[..., of, :])
-        return turns, self.offsets + np.where(own, _rotated(back, outwards)[..., of, :], outwards[..., of, :])
+        # v turned by a unit quaternion (u, w): v + 2 u x (u x v + w v)
+        inwards = outwards + 2 * np.cross(u, np.cross(u, outwards) + w * outwards)
+        return turns, self.offsets + np.where(own, inwards[..., of, :], outwards[..., of, :])
 
     def transforms(
         self, pose: Float[Array, "52 3"], outer_from_joint: Float[Array, "52 4 4"]
@@ -85,10 +84,8 @@ class BendJoints:
         """outer_from_bend_joint of each, from the skeleton's own transforms in this pose."""
         half, outwards = self._halves(pose)
         K = (half[:, :3] @ _LEVI_CIVITA.reshape(3, 9)).reshape(-1, 3, 3)
-        local = np.zeros((len(_JOINT), 4, 4))
         # rotation of a unit quaternion (u, w): I + 2 w [u]x + 2 [u]x^2
-        local[:, :3, :3] = np.eye(3) + 2 * (half[:, 3:, None] * K + K @ K)
-        local[:, :3, 3], local[:, 3, 3] = self._places + outwards, 1
+        local = affine(np.eye(3) + 2 * (half[:, 3:, None] * K + K @ K), self._places + outwards)
         # both of a hinge stand in the same place
         return (outer_from_joint[PARENTS[_JOINT]] @ local)[_OF]
 
@@ -116,9 +113,3 @@ class BendJoints:
 
     def _cross(self, v: Float[Array, "*b bends 3"]) -> Float[Array, "*b bends 3"]:
         return np.einsum("...ja,jab->...jb", v, self._crossed)
-
-
-def _rotated(q: Float[Array, "*b 4"], v: Float[Array, "*c 3"]) -> Float[Array, "*d 3"]:
-    """Vectors turned by unit quaternions: v + 2 u x (u x v + w v), q = (u, w)."""
-    u, w = q[..., :3], q[..., 3:]
-    return v + 2 * np.cross(u, np.cross(u, v) + w * v)

@@ -101,19 +101,17 @@ def read_body(path: Path | str) -> Body:
             f"{path}: kintree_table should be SMPL+H's; the parent of {JOINTS[joint]} is {int(tree[0, joint])}, "
             f"expected {int(PARENTS[joint])}"
         )
-    regressor = field(path, fields, "J_regressor", (52, count)) if "J_regressor" in fields else None
+    joint_directions = np.zeros((52, 3, shapes.shape[2]))
+    joints = None
+    if "J_regressor" in fields:
+        regressor = field(path, fields, "J_regressor", (52, count))
+        joints, joint_directions = regressor @ vertices, np.einsum("jv,vcs->jcs", regressor, shapes)
     if "J" in fields:
         joints = field(path, fields, "J", (52, 3))
-    elif regressor is not None:
-        joints = regressor @ vertices
-    else:
-        raise AssetError(f"{path}: neither J nor J_regressor; the file has {sorted(fields)}")
     if "joint_dirs" in fields:
         joint_directions = field(path, fields, "joint_dirs", (52, 3, shapes.shape[2]))
-    elif regressor is not None:
-        joint_directions = np.einsum("jv,vcs->jcs", regressor, shapes)
-    else:
-        joint_directions = np.zeros((52, 3, shapes.shape[2]))
+    if joints is None:
+        raise AssetError(f"{path}: neither J nor J_regressor; the file has {sorted(fields)}")
     uv = uv_faces = None
     if "vt" in fields and "ft" in fields:
         uv = field(path, fields, "vt", (None, 2)) * [1, -1] + [0, 1]  # the file's v runs up

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from avatar.rotation import affine
 from command.errors import AssetError
 from files.input_file import read_json_object, short
 from files.npz import read_npz
@@ -73,20 +74,17 @@ def look_at(eye: Vector, target: Vector, up: Vector = (0.0, 1.0, 0.0)) -> Float[
         right = np.cross(forward, [0.0, 0.0, -1.0] if abs(forward[2]) < 0.9 else [1.0, 0.0, 0.0])
     right = right / np.linalg.norm(right)
     R = np.stack([right, np.cross(forward, right), forward])
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = R, -R @ eye
-    return out
+    return affine(R, -R @ eye)
 
 
 def orbit_camera(
-    target: Vector,
-    distance: float | int,
-    azimuth: float | int,
-    elevation: float | int,
-    size: tuple[int, int],
-    fov: float | int = 0.61,  # radians; 35 degrees
-) -> Camera:
-    """Camera on a sphere round `target`; azimuth 0 looks at the chest (from +z), growing towards +x; radians."""
+    target: Vector, distance: float | int, azimuth: float | int, elevation: float | int, size: tuple[int, int],
+    fov: float | int = 0.61,
+) -> Camera:  # fmt: skip
+    """Camera on a sphere round `target`; azimuth 0 looks at the chest (from +z), growing towards +x; radians.
+
+    `fov` is the vertical field of view, radians: 35 degrees.
+    """
     target = np.asarray(target, np.float64)
     return Camera(pinhole(size, fov), look_at(target + distance * direction(azimuth, elevation), target), size)
 
@@ -164,13 +162,8 @@ def clip_from_view(camera: Camera, near: float, far: float) -> Float[Array, "4 4
 
 
 def write_camera(path: Path | str, camera: Camera) -> None:
-    content = {
-        "size": list(camera.size),
-        "K": camera.K.tolist(),
-        "camera_from_world": camera.camera_from_world.tolist(),
-        "distortion": camera.distortion.tolist(),
-    }
-    write_json(path, content)
+    arrays = {"K": camera.K, "camera_from_world": camera.camera_from_world, "distortion": camera.distortion}
+    write_json(path, {"size": list(camera.size)} | {name: array.tolist() for name, array in arrays.items()})
 
 
 def read_camera(path: Path | str) -> Camera:
@@ -193,14 +186,9 @@ def camera_from_json(place: str, content: dict[str, Any]) -> Camera:
 
 def write_cameras(path: Path | str, cameras: Sequence[Camera]) -> None:
     """Write cameras.npz of a capture: K (N,3,3), camera_from_world (N,4,4), size (2,), distortion (N,5)."""
+    K, pose, size, distortion = zip(*((c.K, c.camera_from_world, c.size, c.distortion) for c in cameras), strict=True)
     with whole_file(path) as file:
-        np.savez(
-            file,
-            K=np.stack([c.K for c in cameras]),
-            camera_from_world=np.stack([c.camera_from_world for c in cameras]),
-            size=np.array(cameras[0].size),
-            distortion=np.stack([c.distortion for c in cameras]),
-        )
+        np.savez(file, K=K, camera_from_world=pose, size=size[0], distortion=distortion)
 
 
 def read_cameras(path: Path | str, frames: int | None = None) -> list[Camera]:
@@ -242,14 +230,13 @@ def checked_camera(place: str, K: object, pose: object, size: object, distortion
         if not (np.abs(array) < most).all():
             raise AssetError(f"{place}: {name} should be below {most:g}, is {shown}")
         arrays[name] = array
-    K_, pose_, size_ = arrays["K"], arrays["camera_from_world"], arrays["size"]
+    K_, pose_, size_, R = arrays["K"], arrays["camera_from_world"], arrays["size"], arrays["camera_from_world"][:3, :3]
     if not (K_[0, 0] > 0 and K_[1, 1] > 0):
         raise AssetError(f"{place}: focal length should be positive, is {K_[0, 0]:g}, {K_[1, 1]:g}")
     if K_[1, 0] != 0 or (K_[2] != [0, 0, 1]).any():
         raise AssetError(f"{place}: K should be [fx s cx; 0 fy cy; 0 0 1], its lower rows are {K_[1:].tolist()}")
     if (pose_[3] != [0, 0, 0, 1]).any():
         raise AssetError(f"{place}: camera_from_world should end in the row 0 0 0 1, ends in {pose_[3].tolist()}")
-    R = pose_[:3, :3]
     if not (np.abs(R @ R.T - np.eye(3)).max() < 1e-4 and np.linalg.det(R) > 0):
         raise AssetError(f"{place}: camera_from_world should hold a rotation; R Rᵀ differs from 1 or mirrors")
     if not (size_ >= 1).all() or not (size_ <= 65536).all() or (size_ != np.round(size_)).any():

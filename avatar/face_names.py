@@ -73,10 +73,8 @@ _SPELLINGS = _spellings()
 def shapes_called(name: str) -> dict[int, float] | None:
     """The shapes that a name stands for, by number, with their weights; None: no shape of a face."""
     lower = name.lower()
-    if lower[-2:] in ("_l", "_r"):
-        lower = _plain(lower[:-2]) + lower[-2:]
-        return _SPELLINGS.get(lower)
-    return _SPELLINGS.get(_plain(lower))
+    side = lower[-2:] if lower.endswith(("_l", "_r")) else ""
+    return _SPELLINGS.get(_plain(lower.removesuffix(side)) + side)
 
 
 def weights_of(values: Mapping[str, float]) -> Float[Array, "52"]:

@@ -64,10 +64,9 @@ def read_face(path: Path) -> FaceTemplate:
     counts, vertices = found["counts"].astype(np.int64), found["vertices"].astype(np.int64)
     every = BODY + len(found["parts"])
     if counts.shape != (len(SHAPES),) or counts.sum() != len(vertices) or len(found["steps"]) != len(vertices):
-        raise AssetError(
-            f"{path}: counts should be {len(SHAPES)} that sum to the rows of vertices and steps, {len(vertices)} and "
-            f"{len(found['steps'])}; are {counts.shape} and sum to {int(counts.sum())}"
-        )
+        rows = f"the rows of vertices and steps, {len(vertices)} and {len(found['steps'])}"
+        are = f"{counts.shape} and sum to {int(counts.sum())}"
+        raise AssetError(f"{path}: counts should be {len(SHAPES)} that sum to {rows}; are {are}")
     if vertices.max() >= every:
         raise AssetError(f"{path}: vertices should be below {every}, hold {int(vertices.max())}")
     offsets = np.zeros((len(SHAPES), every, 3), np.float32)

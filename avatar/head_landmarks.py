@@ -43,7 +43,7 @@ def read_head_landmarks(path: Path, vertex_count: int) -> HeadLandmarks:
         if type(index) is not int or not 0 <= index < vertex_count:
             expected = f"an index below {vertex_count}"
             raise AssetError(f"{path}: vertices.{name[:40]} should be {expected}, is {str(index)[:40]!r}")
-        numbers = isinstance(point, list) and [v for v in point if type(v) in (int, float) and abs(v) < FARTHEST]
-        if not numbers or len(numbers) != 3 or len(point) != 3:
+        numbers = isinstance(point, list) and all(type(v) in (int, float) and abs(v) < FARTHEST for v in point)
+        if not numbers or len(point) != 3:
             raise AssetError(f"{path}: points.{name[:40]} should be three finite numbers, is {str(point)[:60]!r}")
     return HeadLandmarks(np.array([points[name] for name in names], np.float64), np.array([vertices[n] for n in names]))

@@ -70,11 +70,8 @@ def posed_hull(
             for bone in np.flatnonzero(np.bincount(hull.skin.joints[:, slot], minlength=52)):
                 mine = np.flatnonzero(hull.skin.joints[:, slot] == bone)
                 weights = hull.skin.weights[mine, slot]
-                moved = (
-                    hull.points[mine] @ np.swapaxes(transforms[:, bone, :, :3], -1, -2)
-                    + transforms[:, bone, None, :, 3]
-                )
-                out[frames, mine] += weights[:, None] * moved
+                turned = hull.points[mine] @ np.swapaxes(transforms[:, bone, :, :3], -1, -2)
+                out[frames, mine] += weights[:, None] * (turned + transforms[:, bone, None, :, 3])
     return out
 
 

@@ -9,28 +9,17 @@ change of the angles is such a turn to first order. avatar/limits.py has them: R
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from avatar.camera import Camera
 from avatar.limits import axis_angle_from_joint_angles, limits
-from avatar.rotation import axis_angle_from_matrix, cross_matrix, matrix_from_axis_angle
-from avatar.skeleton import BIG_POSE, DEPTHS, PARENTS, joint_transforms
+from avatar.rotation import affine, axis_angle_from_matrix, cross_matrix, matrix_from_axis_angle
+from avatar.skeleton import BIG_POSE, DEPTHS, DESCENDS, PARENTS, joint_transforms
 from avatar.skinning import SkinWeights
 
 # metres: what lies nearer to a camera, or behind it, is projected as if it lay there
 NEAREST = 0.05
-
-
-def _descends() -> Bool[Array, "52 52"]:
-    out = np.eye(52, dtype=bool)
-    for k in range(1, 52):
-        out[k] |= out[PARENTS[k]]
-    return out
-
-
-# [k, j]: joint k is j or hangs from it
-DESCENDS = _descends()
 
 
 class ShapedSkeleton(NamedTuple):
@@ -58,10 +47,7 @@ class Posed(NamedTuple):
     @property
     def transforms(self) -> Float[Array, "*f 52 4 4"]:
         """Where each bone takes points of the rest pose."""
-        out = np.zeros((*self.R.shape[:-2], 4, 4))
-        out[..., :3, :3], out[..., 3, 3] = self.R, 1
-        out[..., :3, 3] = self.place - np.einsum("...kij,kj->...ki", self.R, self.skeleton.joints)
-        return out
+        return affine(self.R, self.place - np.einsum("...kij,kj->...ki", self.R, self.skeleton.joints))
 
 
 def posed(

@@ -48,58 +48,33 @@ POWER = 4
 FREE = 180.0
 
 
-class Freedom(NamedTuple):
-    """One named angle of a joint: positive about `axis` (left side), from `low` to `high` degrees."""
-
-    name: str
-    low: float | int
-    high: float | int
-    axis: tuple[float | int, float | int, float | int]
-
-
+Freedom = tuple[str, float | int, float | int, tuple[float, float, float]]
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 MINUS_X, MINUS_Y, MINUS_Z = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
 
 
-def _trunk(
-    forward: float | int, back: float | int, side: float | int, turn: float | int
-) -> tuple[Freedom, Freedom, Freedom]:
+def _trunk(forward: float, back: float, side: float, turn: float) -> tuple[Freedom, Freedom, Freedom]:
     return (
-        Freedom("bend forward", -back, forward, X),
-        Freedom("bend to the left", -side, side, MINUS_Z),
-        Freedom("turn to the left", -turn, turn, Y),
+        ("bend forward", -back, forward, X),
+        ("bend to the left", -side, side, MINUS_Z),
+        ("turn to the left", -turn, turn, Y),
     )
 
 
-# The third freedom of a row is the twist, its axis the bone's.
+# Three named angles of each joint: from low to high degrees, positive about the axis (left side). The third is the
+# twist, its axis the bone's.
 BODY: dict[str, tuple[Freedom, Freedom, Freedom]] = {
     # the whole body in the world: no limits
     "pelvis": _trunk(FREE, FREE, FREE, FREE),
     # AAOS: flexion 120, extension 30, abduction 45, adduction 30, rotation 45 each way
-    "hip": (
-        Freedom("flexion", -30, 120, MINUS_X),
-        Freedom("abduction", -30, 45, Z),
-        Freedom("rotation outwards", -45, 45, Y),
-    ),
+    "hip": (("flexion", -30, 120, MINUS_X), ("abduction", -30, 45, Z), ("rotation outwards", -45, 45, Y)),
     # AAOS: hyperextension 10; Kapandji: flexion 150, rotation of the bent knee 30 inwards, 40 outwards; sideways ours
-    "knee": (
-        Freedom("flexion", -10, 150, X),
-        Freedom("sideways", -8, 8, Z),
-        Freedom("rotation outwards", -30, 40, Y),
-    ),
+    "knee": (("flexion", -10, 150, X), ("sideways", -8, 8, Z), ("rotation outwards", -30, 40, Y)),
     # AAOS: dorsiflexion 20, plantar flexion 50, inversion 35, eversion 15; ours: 15 more of dorsiflexion, which the
     # body's weight adds over a bent knee, and toes in and out
-    "ankle": (
-        Freedom("toes up", -50, 35, MINUS_X),
-        Freedom("toes outwards", -25, 25, Y),
-        Freedom("sole inwards", -15, 35, MINUS_Z),
-    ),
+    "ankle": (("toes up", -50, 35, MINUS_X), ("toes outwards", -25, 25, Y), ("sole inwards", -15, 35, MINUS_Z)),
     # AAOS, first toe joint: extension 70, flexion 45; the rest ours
-    "foot": (
-        Freedom("toes up", -45, 70, MINUS_X),
-        Freedom("toes outwards", -10, 10, Y),
-        Freedom("sole inwards", -10, 10, MINUS_Z),
-    ),
+    "foot": (("toes up", -45, 70, MINUS_X), ("toes outwards", -10, 10, Y), ("sole inwards", -10, 10, MINUS_Z)),
     # AAOS for the thoracic and lumbar spine: 80 forward, 30 back, 35 sideways, 45 turned; shared out by us over the
     # three joints, the turning mostly to the upper two, since lumbar vertebrae hardly turn
     "spine1": _trunk(35, 10, 12, 10),
@@ -110,51 +85,27 @@ BODY: dict[str, tuple[Freedom, Freedom, Freedom]] = {
     "neck": _trunk(35, 40, 28, 38),
     "head": _trunk(25, 35, 17, 42),
     # Levangie, sternoclavicular: elevation 48, depression 15, protraction 20, retraction 30, backward turn 50
-    "collar": (
-        Freedom("raise", -15, 48, Z),
-        Freedom("forwards", -30, 20, MINUS_Y),
-        Freedom("roll back", -10, 50, MINUS_X),
-    ),
+    "collar": (("raise", -15, 48, Z), ("forwards", -30, 20, MINUS_Y), ("roll back", -10, 50, MINUS_X)),
     # From the horizontal arm of pose 0. AAOS: elevation 180 (90 above), adduction 0 (90 below) and, ours, 15 more
     # across the body; horizontal flexion 135, extension 45 and, ours, 15 more for the collar's part in extension;
     # rotation 70 inwards, 90 outwards
-    "shoulder": (
-        Freedom("raise", -105, 90, Z),
-        Freedom("forwards", -60, 135, MINUS_Y),
-        Freedom("rotation inwards", -90, 70, X),
-    ),
+    "shoulder": (("raise", -105, 90, Z), ("forwards", -60, 135, MINUS_Y), ("rotation inwards", -90, 70, X)),
     # AAOS: flexion 150; ours: hyperextension 10; the forearm's turn is shared with the wrist: Kapandji has
     # 85 of pronation and 90 of supination in all, and pose 0 is halfway between; sideways ours
-    "elbow": (
-        Freedom("flexion", -10, 150, MINUS_Y),
-        Freedom("sideways", -10, 10, Z),
-        Freedom("palm down", -50, 50, X),
-    ),
+    "elbow": (("flexion", -10, 150, MINUS_Y), ("sideways", -10, 10, Z), ("palm down", -50, 50, X)),
     # AAOS: flexion 80, extension 70, towards the thumb 20, towards the little finger 30; the turn as above
-    "wrist": (
-        Freedom("flexion", -70, 80, MINUS_Z),
-        Freedom("towards the thumb", -30, 20, MINUS_Y),
-        Freedom("palm down", -40, 40, X),
-    ),
+    "wrist": (("flexion", -70, 80, MINUS_Z), ("towards the thumb", -30, 20, MINUS_Y), ("palm down", -40, 40, X)),
 }
 
 # low and high of flexion, sideways (positive: towards the thumb's side) and twist of the three joints of a finger.
 # AAOS: first joint 90, 45 back; middle 100 (10 more, ours); last 90, 10 back. Sideways 20 each way (Kapandji: 30 in
 # all, more for forefinger and little finger); the rest ours.
-FINGER = (
-    ((-45, 90), (-20, 20), (-10, 10)),
-    ((-10, 110), (-5, 5), (-5, 5)),
-    ((-10, 90), (-5, 5), (-5, 5)),
-)
+FINGER = (((-45, 90), (-20, 20), (-10, 10)), ((-10, 110), (-5, 5), (-5, 5)), ((-10, 90), (-5, 5), (-5, 5)))
 LITTLE_FINGER = (((-45, 90), (-35, 20), (-10, 10)), *FINGER[1:])
 # The thumb of pose 0 stands 45 degrees from the palm. AAOS: first joint flexion 15, extension 20, abduction 70;
 # second flexion 50; last flexion 80, extension 20. Our flexion of the first joint closes the thumb over the palm, a
 # mixture of AAOS's flexion and of opposition, hence wider.
-THUMB = (
-    ((-30, 60), (-35, 35), (-30, 60)),
-    ((-10, 60), (-10, 10), (-10, 10)),
-    ((-20, 80), (-5, 5), (-5, 5)),
-)
+THUMB = (((-30, 60), (-35, 35), (-30, 60)), ((-10, 60), (-10, 10), (-10, 10)), ((-20, 80), (-5, 5), (-5, 5)))
 FINGER_NAMES = ("curl", "towards the thumb's side", "twist")
 THUMB_NAMES = ("over the palm", "away from the palm", "opposition")
 
@@ -172,25 +123,22 @@ class Limits(NamedTuple):
 @cache
 def limits() -> Limits:
     """The table above for every joint, worked out once."""
-    names, axes, low, high = [], [], [], []
+    names, axes, ranges = [], [], []
     for joint in JOINTS:
         side, _, part = joint.rpartition("_")
         if part in BODY:
-            freedoms = BODY[part]
-            named = tuple(f.name for f in freedoms)
-            directions = np.array([f.axis for f in freedoms])
-            ranges = np.array([(f.low, f.high) for f in freedoms])
+            named, low, high, axis = zip(*BODY[part], strict=True)
+            directions, ends = np.array(axis), np.stack([low, high], -1)
         else:
             finger, number = part[:-1], int(part[-1]) - 1
-            rows = {"thumb": THUMB, "pinky": LITTLE_FINGER}.get(finger, FINGER)
             named = THUMB_NAMES if finger == "thumb" else FINGER_NAMES
             directions = _finger_frame(finger, number)
-            ranges = np.array(rows[number], np.float64)
+            ends = np.array({"thumb": THUMB, "pinky": LITTLE_FINGER}.get(finger, FINGER)[number], np.float64)
         names.append(named)
         axes.append(directions * MIRROR if side == "right" else directions)
-        low.append(np.radians(ranges[:, 0]))
-        high.append(np.radians(ranges[:, 1]))
-    return Limits(tuple(names), np.array(axes), np.array(low), np.array(high))
+        ranges.append(np.radians(ends))
+    low, high = np.moveaxis(np.array(ranges), -1, 0)
+    return Limits(tuple(names), np.array(axes), low, high)
 
 
 def _finger_frame(finger: str, number: int) -> Float[Array, "3 3"]:

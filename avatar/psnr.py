@@ -3,6 +3,7 @@ decibels flatters."""
 
 import math
 from collections.abc import Iterable
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +44,4 @@ def error_between(
 
 
 def pooled(errors: Iterable[PooledError]) -> PooledError:
-    total = PooledError()
-    for one in errors:
-        total = total.plus(one)
-    return total
+    return reduce(PooledError.plus, errors, PooledError())

@@ -63,21 +63,17 @@ def quaternion_from_matrix(matrix: Float[Array, "*b 3 3"]) -> Float[Array, "*b 4
     """Unit quaternion of a rotation matrix, w >= 0 (Shepperd 1978: divide by the largest component)."""
     m = np.asarray(matrix, np.float64)
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    candidates = np.stack(
-        [
-            np.stack([1 + xx - yy - zz, m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0],
-                      m[..., 2, 1] - m[..., 1, 2]], -1),
-            np.stack([m[..., 1, 0] + m[..., 0, 1], 1 - xx + yy - zz, m[..., 2, 1] + m[..., 1, 2],
-                      m[..., 0, 2] - m[..., 2, 0]], -1),
-            np.stack([m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2], 1 - xx - yy + zz,
-                      m[..., 1, 0] - m[..., 0, 1]], -1),
-            np.stack([m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1],
-                      1 + xx + yy + zz], -1),
-        ],
-        -2,
-    )  # fmt: skip
-    diagonal = np.stack([xx, yy, zz, xx + yy + zz], -1)
-    best = np.argmax(diagonal, -1)
+    xy, yz, zx = m[..., 1, 0] + m[..., 0, 1], m[..., 2, 1] + m[..., 1, 2], m[..., 0, 2] + m[..., 2, 0]
+    xw, yw, zw = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    # 4 q q^T: each row is the quaternion, times four times one of its numbers
+    rows = [
+        1 + xx - yy - zz, xy, zx, xw,
+        xy, 1 - xx + yy - zz, yz, yw,
+        zx, yz, 1 - xx - yy + zz, zw,
+        xw, yw, zw, 1 + xx + yy + zz,
+    ]  # fmt: skip
+    candidates = np.stack(rows, -1).reshape(*m.shape[:-2], 4, 4)
+    best = np.argmax(np.stack([xx, yy, zz, xx + yy + zz], -1), -1)
     q = np.take_along_axis(candidates, best[..., None, None], -2)[..., 0, :]
     q = normalised_quaternion(q)
     return np.where(q[..., 3:] < 0, -q, q)
@@ -200,6 +196,13 @@ def palm_frame(along: Float[Array, "*b 3"], across: Float[Array, "*b 3"]) -> Flo
     x = unit_or_zero(along)
     z = unit_or_zero(across - x * np.sum(x * across, -1, keepdims=True))
     return np.stack([x, np.cross(z, x), z], -1)
+
+
+def affine(A: Float[Array, "*b 3 3"], t: Float[Array, "*b 3"]) -> Float[Array, "*b 4 4"]:
+    """The transform x -> A x + t."""
+    out = np.zeros((*A.shape[:-2], 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = A, t, 1
+    return out
 
 
 def fibonacci_sphere(count: int) -> Float[Array, "count 3"]:

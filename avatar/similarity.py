@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.rotation import matrix_from_axis_angle
+from avatar.rotation import affine, matrix_from_axis_angle
 
 
 class Registration(NamedTuple):
@@ -47,9 +47,7 @@ def similarity_from_landmarks(source: Float[Array, "n 3"], target: Float[Array, 
     scale = float((D * sign).sum() / (a * a).sum())
     if not scale > 0:
         raise ValueError("landmarks: no positive scale fits the points")
-    out = np.eye(4)
-    out[:3, :3] = scale * R
-    out[:3, 3] = middle_t - scale * R @ middle_s
+    out = affine(scale * R, middle_t - scale * R @ middle_s)
     error = source @ out[:3, :3].T + out[:3, 3] - target
     return Registration(out, float(np.sqrt((error**2).sum(1).mean())))
 
@@ -57,9 +55,7 @@ def similarity_from_landmarks(source: Float[Array, "n 3"], target: Float[Array, 
 def small_similarity(delta: Float[Array, "7"], centre: Float[Array, "3"], arm: float) -> Float[Array, "4 4"]:
     """Turn, shift and scale about `centre` of the increments delta."""
     A = matrix_from_axis_angle(delta[:3] / arm) * (1 + delta[6] / arm)
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = A, centre - A @ centre + delta[3:6]
-    return out
+    return affine(A, centre - A @ centre + delta[3:6])
 
 
 def similarity_rows(points: Float[Array, "n 3"], centre: Float[Array, "3"], arm: float) -> Float[Array, "n 3 7"]:

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.rotation import matrix_from_axis_angle
+from avatar.rotation import affine, axis_angle_from_matrix, matrix_from_axis_angle
 
 _BODY = (
     "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot "
@@ -34,25 +34,16 @@ def _parents() -> np.ndarray:
 PARENTS = _parents()
 
 
-def _depths() -> tuple[np.ndarray, ...]:
-    depth = np.zeros(52, int)
-    for joint in range(1, 52):
-        depth[joint] = depth[PARENTS[joint]] + 1
-    return tuple(np.flatnonzero(depth == d) for d in range(1, depth.max() + 1))
-
-
+# [k, j]: joint k is j or hangs from it
+DESCENDS = np.eye(52, dtype=bool)
+for _joint in range(1, 52):
+    DESCENDS[_joint] |= DESCENDS[PARENTS[_joint]]
 # joints by their distance from the pelvis, nearest first, the pelvis left out
-DEPTHS = _depths()
-
-
-def _big_pose() -> np.ndarray:
-    pose = np.zeros((52, 3))
-    pose[1, 2], pose[2, 2] = np.pi / 6, -np.pi / 6
-    return pose
-
+DEPTHS = tuple(np.flatnonzero(DESCENDS.sum(1) == count) for count in range(2, DESCENDS.sum(1).max() + 1))
 
 # canonical pose of the fields: both hips opened 30 degrees about z
-BIG_POSE = _big_pose()
+BIG_POSE = np.zeros((52, 3))
+BIG_POSE[1, 2], BIG_POSE[2, 2] = np.pi / 6, -np.pi / 6
 BIG_POSE.setflags(write=False)
 PARENTS.setflags(write=False)
 
@@ -79,22 +70,23 @@ def joint_transforms(
     return world
 
 
+def pose_of_rotations(R: Float[Array, "frames 52 3 3"]) -> Float[Array, "frames 52 3"]:
+    """The pose, axis-angle, whose joints have these rotations in the world."""
+    local = R.copy()
+    local[:, 1:] = np.swapaxes(R[:, PARENTS[1:]], -1, -2) @ R[:, 1:]
+    return axis_angle_from_matrix(local)
+
+
 def rigid_inverse(transforms: Float[Array, "*b 4 4"]) -> Float[Array, "*b 4 4"]:
     """Inverse of rotations with translations: [R^T, -R^T t]."""
-    R, t = transforms[..., :3, :3], transforms[..., :3, 3:]
-    out = np.zeros_like(transforms)
-    out[..., :3, :3] = np.swapaxes(R, -1, -2)
-    out[..., :3, 3:] = -np.swapaxes(R, -1, -2) @ t
-    out[..., 3, 3] = 1
-    return out
+    back = np.swapaxes(transforms[..., :3, :3], -1, -2)
+    return affine(back, (-back @ transforms[..., :3, 3:])[..., 0])
 
 
 def skin_transforms(
-    axis_angle: Float[Array, "*b 52 3"],
-    joints: Float[Array, "52 3"],
-    root: Float[Array, "*b 3"] | None = None,
+    axis_angle: Float[Array, "*b 52 3"], joints: Float[Array, "52 3"], root: Float[Array, "*b 3"] | None = None,
     rest: Float[Array, "52 3"] = BIG_POSE,
-) -> Float[Array, "*b 52 4 4"]:
+) -> Float[Array, "*b 52 4 4"]:  # fmt: skip
     """B_k = G_k(pose) G_k(rest)^-1: where bone k takes a point that is given in the rest pose.
 
     `rest` is the pose that the points are stored in: the big pose for canonical points, zeros for pose 0.

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.rotation import cross_matrix, quaternion_from_axis_angle, unit_or_zero
+from avatar.rotation import affine, cross_matrix, quaternion_from_axis_angle, unit_or_zero
 from avatar.skeleton import JOINTS
 
 
@@ -53,9 +53,7 @@ def _segments() -> dict[str, Segment]:
 
 
 SEGMENTS = _segments()
-TWIST_JOINTS: tuple[str, ...] = tuple(
-    f"{name}_twist{k}" for name, segment in SEGMENTS.items() for k in range(len(segment.shares))
-)
+TWIST_JOINTS = tuple(f"{name}_twist{k}" for name, part in SEGMENTS.items() for k in range(len(part.shares)))
 
 _JOINT = np.array([s.joint for s in SEGMENTS.values() for _ in s.shares])
 _CHILD = np.array([s.child for s in SEGMENTS.values() for _ in s.shares])
@@ -98,11 +96,9 @@ class TwistJoints:
         self, pose: Float[Array, "52 3"], outer_from_joint: Float[Array, "52 4 4"]
     ) -> Float[Array, "twists 4 4"]:
         """outer_from_twist_joint of each, from the skeleton's own transforms in this pose."""
-        local = np.zeros((len(_JOINT), 4, 4))
         angle = self.angles(pose)[:, None, None]
-        local[:, :3, :3] = np.eye(3) + np.sin(angle) * self._K + (1 - np.cos(angle)) * self._K2
-        local[:, :3, 3], local[:, 3, 3] = self.offsets, 1
-        return outer_from_joint[_JOINT] @ local
+        R = np.eye(3) + np.sin(angle) * self._K + (1 - np.cos(angle)) * self._K2
+        return outer_from_joint[_JOINT] @ affine(R, self.offsets)
 
     def _twist(self, axis_angle: Float[Array, "*b ends 3"]) -> Float[Array, "*b ends"]:
         """Twist of rotations about the segments, within half a turn; 0 where a swing of half a turn leaves it open."""

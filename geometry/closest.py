@@ -170,22 +170,19 @@ FEW, MOST = 6, 24
 
 
 def best_candidate(
-    points: Float[Array, "n 3"],
-    candidates: Integer[Array, "n k"],
-    corners: Float[Array, "faces 3 3"],
+    points: Float[Array, "n 3"], candidates: Integer[Array, "n k"], corners: Float[Array, "faces 3 3"],
     agrees: Callable[[Integer[Array, "n"], Float[Array, "n 3"]], Bool[Array, "n"]],
-) -> Match:
+) -> Match:  # fmt: skip
     """Of each point's candidate triangles the closest that agrees, else the closest of all.
 
     `agrees` is asked for one triangle a point and the barycentric coordinates of its closest place.
     """
-    best = Match(
-        candidates[:, 0].copy(), np.zeros((len(points), 3)), np.full(len(points), np.inf), np.zeros(len(points), bool)
-    )
+    count = len(points)
+    best = Match(candidates[:, 0].copy(), np.zeros((count, 3)), np.full(count, np.inf), np.zeros(count, bool))
     for face in candidates.T:
         nearest, weights = closest_on_triangles(points, corners[face])
         away, good = np.linalg.norm(nearest - points, axis=1), agrees(face, weights)
         wins = (good & ~best.agrees) | ((good == best.agrees) & (away < best.distance))
-        best.face[wins], best.barycentric[wins], best.distance[wins] = face[wins], weights[wins], away[wins]
-        best.agrees[wins] = good[wins]
+        for kept, found in zip(best, (face, weights, away, good), strict=True):
+            kept[wins] = found[wins]
     return best

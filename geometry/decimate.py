@@ -14,6 +14,9 @@ from geometry.isosurface import PointFunction
 from geometry.mesh import TriangleMesh, area_normals, compact, component_labels, face_areas, largest_component
 from geometry.repair import find_faults, repair, split_nonmanifold
 
+# metres over which the growth of a part fades in
+RAMP = 0.06
+
 
 class Enlargement(NamedTuple):
     """A part that is blown up before collapsing, so that it keeps more triangles: Garland's quadrics measure
@@ -46,31 +49,24 @@ def magnified(points: Float[Array, "n 3"], balls: Sequence[Magnifier]) -> Float[
     return result
 
 
-def enlarged(
-    vertices: Float[Array, "vertices 3"], parts: Sequence[Enlargement | Magnifier], ramp: float = 0.06
-) -> Array:
-    """Vertices with balls magnified, then parts grown away from their anchors; growth fades in over `ramp` metres."""
+def enlarged(vertices: Float[Array, "vertices 3"], parts: Sequence[Enlargement | Magnifier]) -> Array:
+    """Vertices with balls magnified, then parts grown away from their anchors; growth fades in over RAMP."""
     vertices = magnified(vertices, [part for part in parts if isinstance(part, Magnifier)])
     result = vertices.copy()
-    for part in parts:
-        if isinstance(part, Magnifier):
-            continue
+    for part in (part for part in parts if isinstance(part, Enlargement)):
         offset = vertices - part.anchor
         along = offset @ part.axis
         across = np.linalg.norm(offset - along[:, None] * part.axis, axis=1)
-        s = np.clip(along / ramp, 0, 1)
+        s = np.clip(along / RAMP, 0, 1)
         weight = np.where(across < part.radius, s * s * (3 - 2 * s), 0.0)
         result += (weight * (part.scale - 1))[:, None] * offset
     return result
 
 
 def decimate(
-    mesh: TriangleMesh,
-    target: int,
-    parts: Sequence[Enlargement | Magnifier] = (),
-    *,
+    mesh: TriangleMesh, target: int, parts: Sequence[Enlargement | Magnifier] = (), *,
     report: Callable[[str], None] = lambda line: None,
-) -> TriangleMesh:
+) -> TriangleMesh:  # fmt: skip
     """Closed manifold mesh of about `target` triangles (Garland and Heckbert 1997, quadric collapse).
 
     Collapsed in gentle passes: the library's own default raises its threshold so fast that it takes twice the
@@ -150,27 +146,21 @@ GENTLE = 3
 
 def _gentle_pass(points: Array, faces: Array, target: int, aggression: int) -> tuple[Array, Array, int]:
     """One call of the library; the attempt with the fewest faults, and the aggressiveness of the next pass."""
-    best: tuple[int, Array, Array] | None = None
+    tried: list[tuple[int, Array, Array]] = []
     for attempt in (target, int(target * 1.008), int(target * 0.985)):
         found, triangles = fast_simplification.simplify(points, faces, target_count=attempt, agg=aggression)[:2]
-        faults = sum(find_faults(triangles.astype(np.int64), len(found)))
-        if best is None or faults < best[0]:
-            best = faults, found, triangles
-        if not faults:
+        tried.append((sum(find_faults(triangles.astype(np.int64), len(found))), found, triangles))
+        if not tried[-1][0]:
             break
-    assert best is not None
-    _, found, triangles = best
+    _, found, triangles = min(tried, key=lambda one: one[0])
     slow = len(triangles) > 0.9 * len(faces)
     return np.ascontiguousarray(found, np.float32), triangles.astype(np.int32), aggression + slow
 
 
 def shrunk(
-    points: Float[Array, "n 3"],
-    grown: Float[Array, "vertices 3"],
-    original: Float[Array, "vertices 3"],
+    points: Float[Array, "n 3"], grown: Float[Array, "vertices 3"], original: Float[Array, "vertices 3"],
     parts: Sequence[Enlargement | Magnifier],
-    steps: int = 60,
-) -> Float[Array, "n 3"]:
+) -> Float[Array, "n 3"]:  # fmt: skip
     """Inverse of `enlarged`: start at the displacement of the nearest vertex, then x <- x - J^-1 (f(x) - y)
     with J approximated by the local scale, which converges because the growth is monotone along the axis."""
     _, nearest = KDTree(grown).query(points)
@@ -179,7 +169,7 @@ def shrunk(
     target, x = points[moved], guess[moved]
     top = max((part.scale for part in parts if isinstance(part, Enlargement)), default=1.0)
     top *= 1 + sum(part.scale - 1 for part in parts if isinstance(part, Magnifier))
-    for _ in range(steps):
+    for _ in range(60):
         error = enlarged(x, parts) - target
         x = x - error / top
         if np.abs(error).max(initial=0) < 1e-7:

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
-from avatar.rotation import nearest_rotation
+from avatar.rotation import affine, nearest_rotation
 from avatar.similarity import Registration, similarity_rows, small_similarity
 from geometry.closest import TriangleIndex, closest_points
 from geometry.least_squares import NormalEquations
@@ -28,14 +28,9 @@ MOST = 0.03  # metres
 
 
 def refine_by_surfaces(
-    source: Float[Array, "n 3"],
-    target: Float[Array, "m 3"],
-    target_normals: Float[Array, "m 3"],
-    *,
-    source_normals: Float[Array, "n 3"] | None = None,
-    anchors: Anchors | None = None,
-    reach: float = 0.02,
-) -> Registration:
+    source: Float[Array, "n 3"], target: Float[Array, "m 3"], target_normals: Float[Array, "m 3"], *,
+    source_normals: Float[Array, "n 3"] | None = None, anchors: Anchors | None = None, reach: float = 0.02,
+) -> Registration:  # fmt: skip
     """Eq. 5: target_from_source by point-to-plane ICP, robust to surface that only one side has.
 
         min over R, T of sum w_i (n_i . (R p_i + T - q_i))^2       q_i the target point nearest to R p_i + T
@@ -67,10 +62,8 @@ def refine_by_surfaces(
             turned = source_normals @ (transform[:3, :3] / np.cbrt(np.linalg.det(transform[:3, :3]))).T
             near &= (turned * target_normals[row]).sum(1) > 0.5
         if near.sum() < max(6, 0.1 * len(source)):
-            share = near.sum() / max(len(near), 1)
-            raise ValueError(
-                f"head registration: {share:.0%} of the surface within {reach} m of the body's, under 10 %"
-            )
+            share = f"{near.sum() / max(len(near), 1):.0%} of the surface"
+            raise ValueError(f"head registration: {share} within {reach} m of the body's, under 10 %")
         p, n = moved[near], target_normals[row[near]]
         r = ((p - target[row[near]]) * n).sum(1)
         residual = float(np.median(np.abs(r)))
@@ -84,9 +77,8 @@ def refine_by_surfaces(
         raise ValueError(f"head registration: the last of {STEPS} steps still moves by {moved_by:.4f} m")
     shift = np.linalg.norm(source @ transform[:3, :3].T + transform[:3, 3] - source, axis=1).max()
     if shift > MOST:
-        raise ValueError(
-            f"head registration: moves the head by {shift:.3f} m, more than {MOST}; is Eq. 6's start right?"
-        )
+        found = f"moves the head by {shift:.3f} m, more than {MOST}"
+        raise ValueError(f"head registration: {found}; is Eq. 6's start right?")
     return Registration(transform, residual)
 
 
@@ -130,8 +122,7 @@ def rigid_icp(source: Float[Array, "n 3"], target: TriangleIndex, *, rounds: int
         nearest = closest_points(moved, target).point
         middle, aim = moved.mean(0), nearest.mean(0)
         R = nearest_rotation((nearest - aim).T @ (moved - middle))
-        step = np.eye(4)
-        step[:3, :3], step[:3, 3] = R, aim - R @ middle
+        step = affine(R, aim - R @ middle)
         moved = moved @ R.T + step[:3, 3]
         target_from_source = step @ target_from_source
         # a hundredth of a millimetre

@@ -282,9 +282,7 @@ def extract(
         mesh, islands = concatenated(kept), islands + 1 - len(kept)
         island_area = 1 - float(face_areas(*mesh).sum() / face_areas(*whole).sum())
     if enclosed_volume(mesh) <= 0:
-        raise AssetError(
-            "fused field: distance should be negative inside the person, its largest surface is inside out"
-        )
+        raise AssetError("fused field: distance should be negative inside the person, its surface is inside out")
     projected, residual = project_to_zero(distance, mesh.vertices, normal(mesh.vertices), reach=steps.coarse)
     mesh = TriangleMesh(projected, mesh.faces)
     exceeded = float(np.quantile(residual, 0.999))

@@ -138,11 +138,9 @@ class NormalEquations:
 
 
 def minimise(
-    estimate: Estimate,
-    assemble: Callable[[Estimate], tuple[NormalEquations, float]],
-    moved: Callable[[Estimate, Float[Array, "frames own"], Float[Array, "shared"]], Estimate],
-    rounds: int,
-) -> Estimate:
+    estimate: Estimate, assemble: Callable[[Estimate], tuple[NormalEquations, float]],
+    moved: Callable[[Estimate, Float[Array, "frames own"], Float[Array, "shared"]], Estimate], rounds: int,
+) -> Estimate:  # fmt: skip
     """Lower the cost that `assemble` returns beside its equations, by at most `rounds` Gauss-Newton steps.
 
     Levenberg's and Marquardt's damping: a step that raises the cost is taken back and made shorter.

@@ -79,9 +79,8 @@ def weld(vertices: Float[Array, "vertices 3"]) -> Integer[Array, "vertices"]:
 
     Places are compared to a hundredth of a millimetre.
     """
-    _, first, inverse = np.unique(
-        np.round(vertices * 1e5).astype(np.int64), axis=0, return_index=True, return_inverse=True
-    )
+    places = np.round(vertices * 1e5).astype(np.int64)
+    _, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
     return first[inverse.reshape(-1)]
 
 
@@ -127,19 +126,16 @@ def restricted(mesh: TriangleMesh, own: Bool[Array, "vertices"]) -> TriangleMesh
 def largest_component(mesh: TriangleMesh) -> tuple[TriangleMesh, int, float]:
     """The component of greatest area, how many others were dropped, and their share of the area."""
     labels, areas = _pieces(mesh)
-    best = int(areas.argmax())
-    dropped = int((areas > 0).sum()) - 1
-    kept, _ = compact(mesh.vertices, mesh.faces[labels == best])
-    return kept, max(dropped, 0), float(1 - areas[best] / areas.sum())
+    kept, _ = compact(mesh.vertices, mesh.faces[labels == areas.argmax()])
+    return kept, max(int((areas > 0).sum()) - 1, 0), float(1 - areas.max() / areas.sum())
 
 
 def separate_pieces(mesh: TriangleMesh, least: float) -> list[TriangleMesh]:
     """The connected pieces of at least so much area, the largest first."""
     labels, areas = _pieces(mesh)
     order = np.argsort(-areas, kind="stable")
-    return [
-        compact(mesh.vertices, mesh.faces[labels == label])[0] for label in order[areas[order] >= max(least, 1e-12)]
-    ]
+    kept = order[areas[order] >= max(least, 1e-12)]
+    return [compact(mesh.vertices, mesh.faces[labels == label])[0] for label in kept]
 
 
 def _pieces(mesh: TriangleMesh) -> tuple[Integer[Array, "faces"], Float[Array, "pieces"]]:

@@ -75,23 +75,21 @@ def split_nonmanifold(mesh: TriangleMesh, *, rounds: int = 6) -> TriangleMesh:
         crowded = [order[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True) if b - a > 2]
         if not crowded:
             break
-        touched: set[int] = set()
-        added: list[Array] = []
-        points: list[Array] = []
+        touched, added, points = set[int](), list[Array](), list[Array]()
         for uses in crowded:
-            owners = uses % len(faces)
-            if touched & set(owners.tolist()) or len(set(owners.tolist())) < len(owners):
+            (u, v), owners = pair[uses[0]].tolist(), uses % len(faces)
+            own = set(owners.tolist())
+            if touched & own or len(own) < len(owners):
                 # changed in this round already: the next one sees it
                 continue
             wedges = _wedges(vertices, faces, pair[uses[0]], directed[uses], owners)
             if wedges is None:
                 continue
-            touched |= set(owners.tolist())
+            touched |= own
             for wedge in wedges[1:]:
                 middle = len(vertices) + len(points)
-                points.append(vertices[pair[uses[0]]].mean(0))
+                points.append(vertices[[u, v]].mean(0))
                 for face in owners[list(wedge)]:
-                    u, v = (int(i) for i in pair[uses[0]])
                     whole = faces[face]
                     added.append(np.where(whole == u, middle, whole))
                     faces[face] = np.where(whole == v, middle, whole)
@@ -148,18 +146,13 @@ def repair(mesh: TriangleMesh, *, rounds: int = 8) -> TriangleMesh:
             break
         vertices, faces = _split_touching_fans(vertices, faces)
         loops = _boundary_loops(faces, len(vertices))
-        centres = [vertices[loop].mean(0) for loop in loops]
-        new = [
-            np.stack([np.roll(loop, -1), loop, np.full(len(loop), len(vertices) + i)], 1)
-            for i, loop in enumerate(loops)
-        ]
-        if loops:
-            vertices = np.concatenate([vertices, np.array(centres)])
-            faces = np.concatenate([faces, *new])
+        fans = [np.stack([np.roll(loop, -1), loop, 0 * loop + len(vertices) + i], 1) for i, loop in enumerate(loops)]
+        vertices = np.concatenate([vertices, *(vertices[loop].mean(0, keepdims=True) for loop in loops)])
+        faces = np.concatenate([faces, *fans])
         closed, _, _ = largest_component(TriangleMesh(vertices, faces))
+        if not find_faults(closed.faces, len(closed.vertices)):
+            return closed
         vertices, faces = closed
-        if not find_faults(faces, len(vertices)):
-            return TriangleMesh(vertices, faces)
     fault = find_faults(faces, len(vertices)) if len(faces) else "no triangle left"
     raise AssetError(f"surface: should close into a manifold in {rounds} rounds of repair, left {fault}")
 

@@ -45,13 +45,9 @@ def lattice_samples(
 
 
 def stratified_samples(
-    vertices: Float[Array, "vertices 3"],
-    faces: Integer[Array, "faces 3"],
-    count: int,
-    *,
-    seed: int | np.random.Generator,
-    weight: Float[Array, "faces"] | Bool[Array, "faces"] | None = None,
-) -> SurfaceSamples:
+    vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"], count: int, *,
+    seed: int | np.random.Generator, weight: Float[Array, "faces"] | Bool[Array, "faces"] | None = None,
+) -> SurfaceSamples:  # fmt: skip
     """`count` seeded points, uniform by area times `weight`: one in each of `count` equal slices of it.
 
     Unlike trimesh.sample, whose faces are drawn independently, a few samples already cover small parts.

@@ -12,12 +12,9 @@ NEAR, COARSER = 8, 4
 
 
 def winding_grid(
-    points: Float[Array, "n 3"],
-    dipoles: Float[Array, "n 3"],
-    low: Float[Array, "3"],
-    shape: tuple[int, int, int],
+    points: Float[Array, "n 3"], dipoles: Float[Array, "n 3"], low: Float[Array, "3"], shape: tuple[int, int, int],
     cell: float,
-) -> Float32[Array, "x y z"]:
+) -> Float32[Array, "x y z"]:  # fmt: skip
     """Winding number at the nodes low + cell * index: 1 inside of a closed surface, 0 outside, smooth between.
 
     `dipoles` are unit normals, outwards, times the area (square metres) that each sample stands for. Samples count

@@ -83,11 +83,9 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
         raise gltf.error(f"{where}.twist", "true or absent", twist)
     bend = gltf.numbers(extension, "bend", where, (len(BENDS),)) if "bend" in extension else None
     amplitude = extension.get("amplitude")
-    if not isinstance(amplitude, (int, float)) or isinstance(amplitude, bool):
+    if not isinstance(amplitude, int | float) or isinstance(amplitude, bool):
         raise gltf.error(f"{where}.amplitude", "a number", amplitude)
-    linear = None
-    if "linear" in extension:
-        linear = gltf.numbers(extension, "linear", where, (4, 3, 3)).astype(np.float32)
+    linear = gltf.numbers(extension, "linear", where, (4, 3, 3)).astype(np.float32) if "linear" in extension else None
     try:
         avatar = Avatar(
             name=extension["name"],
@@ -148,12 +146,10 @@ def _read_network(gltf: Gltf, extension: JsonObject) -> ViewNetwork | None:
         return None
     if not isinstance(network, dict):
         raise gltf.error(where, "an object", network)
-    shapes = NETWORK_ARRAYS.items()
-    arrays = {name: gltf.numbers(network, name, where, shape).astype(np.float32) for name, shape in shapes}
-    unknown = sorted(set(network) - set(arrays))
+    unknown, shapes = sorted(set(network) - set(NETWORK_ARRAYS)), NETWORK_ARRAYS.items()
     if unknown:
-        raise gltf.error(where, f"of {', '.join(arrays)} alone", unknown)
-    return ViewNetwork(**arrays)
+        raise gltf.error(where, f"of {', '.join(NETWORK_ARRAYS)} alone", unknown)
+    return ViewNetwork(**{name: gltf.numbers(network, name, where, shape).astype(np.float32) for name, shape in shapes})
 
 
 def _read_levels(
@@ -215,10 +211,10 @@ def _level_source(gltf: Gltf, item: object, where: str) -> _Source:
     if not isinstance(item, dict):
         raise gltf.error(where, "an object", item)
     mesh = gltf.index("meshes", item.get("mesh"), f"{where}.mesh")
-    parts = primitives(gltf, mesh)
-    if len(parts) != 1:
-        raise gltf.error(f"meshes[{mesh}].primitives", "one", len(parts))
-    material = gltf.index("materials", parts[0].get("material"), f"meshes[{mesh}] material")
+    part, *others = primitives(gltf, mesh)
+    if others:
+        raise gltf.error(f"meshes[{mesh}].primitives", "one", 1 + len(others))
+    material = gltf.index("materials", part.get("material"), f"meshes[{mesh}] material")
     base_color = base_color_image(gltf, material)
     if base_color is None:
         raise gltf.error(f"materials[{material}]", "with a base colour texture", None)
@@ -234,7 +230,7 @@ def _level_source(gltf: Gltf, item: object, where: str) -> _Source:
 def _of_image(gltf: Gltf, index: int, function: Callable[..., T], *arguments: object) -> T:
     """Apply a function of PNG bytes to an image; its complaint gains the place."""
     try:
-        return function(gltf.image(index)[0], *arguments)
+        return function(gltf.image(index), *arguments)
     except ValueError as error:
         raise AssetError(f"{gltf.path}: images[{index}] {error}") from None
 
@@ -247,33 +243,31 @@ def _read_surface(gltf: Gltf, mesh: int) -> dict[str, Array]:
     if gltf.items("accessors")[accessors["WEIGHTS_0"]].get("normalized") is not True:
         raise gltf.error(f"{where}.WEIGHTS_0", "normalised bytes", "not normalised")
     arrays = {field: gltf.accessor(accessors[name]) for field, name in ATTRIBUTES.items()}
-    arrays["view_seen"] = _unpadded(gltf, arrays["view_seen"], 1, f"{where}._VIEW_SEEN")[:, 0]
+    arrays["view_seen"] = _unpadded(gltf, arrays["view_seen"], 1, f"{where}._VIEW_SEEN")
     q0, q1 = gltf.accessor(accessors["_VIEW_Q0"]), gltf.accessor(accessors["_VIEW_Q1"])
     if q0.shape != q1.shape or q0.ndim != 2:
         raise gltf.error(f"{where}._VIEW_Q1", f"of the shape of _VIEW_Q0 {q0.shape}", q1.shape)
     arrays["view_q"] = np.concatenate([q0, q1], axis=1)
-    if "_LIGHT" in accessors:
-        arrays["light"] = _unpadded(gltf, gltf.accessor(accessors["_LIGHT"]), 2, f"{where}._LIGHT")
-    if "_LOOSE" in accessors:
-        arrays["loose"] = _unpadded(gltf, gltf.accessor(accessors["_LOOSE"]), 1, f"{where}._LOOSE")[:, 0]
+    for field, name, used in (("light", "_LIGHT", 2), ("loose", "_LOOSE", 1)):
+        if name in accessors:
+            arrays[field] = _unpadded(gltf, gltf.accessor(accessors[name]), used, f"{where}.{name}")
     arrays["faces"] = triangles(gltf, mesh, 0, len(arrays["positions"]))
     return arrays
 
 
 def _unpadded(gltf: Gltf, values: Array, used: int, where: str) -> Array:
-    """The columns of an attribute that are used; avatar_write.py fills the others of its three with zeros."""
+    """The columns of an attribute that are used, or the one; avatar_write.py fills others of its three with zeros."""
     if values.ndim != 2 or values.shape[1] != 3 or values[:, used:].any():
         numbers = f"{used} number{'s' * (used > 1)} and {3 - used} of 0 for each vertex"
         raise gltf.error(where, numbers, values.shape)
-    return np.ascontiguousarray(values[:, :used])
+    return np.ascontiguousarray(values[:, :used] if used > 1 else values[:, 0])
 
 
 def _twist_skin(gltf: Gltf, mesh: int, arrays: dict[str, Array]) -> TwistSkin:
     """The skin of a file with helper joints, whose numbers are in range."""
     where = f"meshes[{mesh}].primitives[0].JOINTS_0"
     joints, weights = arrays["joints"], arrays["weights"]
-    bytes_each = joints.dtype == weights.dtype == np.uint8
-    if not bytes_each or joints.shape[1:] != (4,) or joints.shape != weights.shape:
+    if not (joints.dtype == weights.dtype == np.uint8 and joints.shape[1:] == (4,) and joints.shape == weights.shape):
         raise gltf.error(where, "four bytes a vertex, as WEIGHTS_0", (joints.shape, joints.dtype.name))
     if joints.max() >= len(CARRIER):
         raise gltf.error(where, f"below {len(CARRIER)}", int(joints.max()))

@@ -8,16 +8,7 @@ from jaxtyping import Float, Int
 
 from avatar.baked_avatar import Avatar, Level, check_avatar
 from avatar.face import SHAPES
-from avatar.gltf.face import (
-    EYE_JOINTS,
-    HEAD,
-    add_follow,
-    add_targets,
-    bound_to_eyes,
-    eye_offsets,
-    eyes_json,
-    with_eyes,
-)
+from avatar.gltf.face import EYE_JOINTS, HEAD, add_follow, add_targets, bound_to_eyes, eye_offsets, eyes_json, with_eyes
 from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
 from avatar.helper_joints import CARRIER, HelperJoints
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
@@ -146,19 +137,16 @@ def _extension(avatar: Avatar, levels: list[JsonObject]) -> JsonObject:
         "amplitude": float(avatar.amplitude),
         "provenance": avatar.provenance,
     }
-    if avatar.levels[0].twist is not None:
-        extension["twist"] = True
-    if avatar.bend is not None:
-        extension["bend"] = _flat(avatar.bend)
-    if avatar.eyes is not None:
-        extension["face"] = eyes_json(avatar)
-    if avatar.network is not None:
-        extension["network"] = {name: _flat(values) for name, values in vars(avatar.network).items()}
-    if avatar.linear is not None:
-        extension["linear"] = _flat(avatar.linear)
-    if avatar.light is not None:
-        extension["light"] = settings_json(avatar.light)
-    return extension
+    network = avatar.network
+    optional: JsonObject = {
+        "twist": None if avatar.levels[0].twist is None else True,
+        "bend": None if avatar.bend is None else _flat(avatar.bend),
+        "face": None if avatar.eyes is None else eyes_json(avatar),
+        "network": None if network is None else {name: _flat(values) for name, values in vars(network).items()},
+        "linear": None if avatar.linear is None else _flat(avatar.linear),
+        "light": None if avatar.light is None else settings_json(avatar.light),
+    }
+    return extension | {name: value for name, value in optional.items() if value is not None}
 
 
 def _add_surface(builder: GltfBuilder, level: Level, eye: int) -> JsonObject:

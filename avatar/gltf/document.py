@@ -21,24 +21,13 @@ from command.errors import AssetError
 from files.input_file import JsonObject, parse_json, read_bytes, short
 
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-ELEMENT_SHAPES = {
-    "SCALAR": (),
-    "VEC2": (2,),
-    "VEC3": (3,),
-    "VEC4": (4,),
-    "MAT2": (2, 2),
-    "MAT3": (3, 3),
-    "MAT4": (4, 4),
-}
+ELEMENT_SHAPES = {"SCALAR": (), "VEC2": (2,), "VEC3": (3,), "VEC4": (4,), "MAT2": (2, 2), "MAT3": (3, 3),
+                  "MAT4": (4, 4)}  # fmt: skip
 
 # Required extensions that change nothing we read, or that are read here. KHR_materials_* is read as its base.
 READ_EXTENSIONS = (
-    "KHR_mesh_quantization",
-    "EXT_texture_webp",
-    "KHR_texture_transform",
-    "KHR_lights_punctual",
-    "KHR_node_visibility",
-)
+    "KHR_mesh_quantization EXT_texture_webp KHR_texture_transform KHR_lights_punctual KHR_node_visibility"
+).split()
 READ_PREFIXES = ("KHR_materials_", "VRM", "SELFSCAN_")
 # Extensions we do not read, and the glTF-Transform command line that turns each into plain glTF.
 CONVERTERS = {
@@ -146,12 +135,11 @@ class Gltf:
             values = self._elements(accessor, dtype, shape, count, where).copy()
         if dtype.kind == "f":
             if not np.isfinite(values).all():
-                first = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
+                first = tuple(np.argwhere(~np.isfinite(values))[0].tolist())
                 raise AssetError(f"{self.path}: {where} should be finite, is {values[first]} at {first}")
         elif as_float:
-            normalised = accessor.get("normalized", False) is True
             values = values.astype(np.float32)
-            if normalised:
+            if accessor.get("normalized", False) is True:
                 values = np.maximum(values / np.float32(np.iinfo(dtype).max), np.float32(-1))
         return values.swapaxes(-1, -2) if len(shape) == 2 else values
 
@@ -172,9 +160,8 @@ class Gltf:
         kind = sparse["indices"].get("componentType")
         if type(kind) is not int or kind not in (5121, 5123, 5125):
             raise self.error(f"{where_sparse}.indices.componentType", "one of [5121, 5123, 5125]", kind)
-        index = self._elements(
-            sparse["indices"], np.dtype(COMPONENT_TYPES[kind]), (), given, f"{where_sparse}.indices"
-        ).astype(np.int64)
+        stored = np.dtype(COMPONENT_TYPES[kind])
+        index = self._elements(sparse["indices"], stored, (), given, f"{where_sparse}.indices").astype(np.int64)
         if index[-1] >= count or (np.diff(index) <= 0).any():
             raise self.error(f"{where_sparse}.indices", f"ascending and below {count}", index[-1].item())
         values[index] = self._elements(sparse["values"], dtype, shape, given, f"{where_sparse}.values")
@@ -184,8 +171,7 @@ class Gltf:
         """`count` elements of a buffer view, as a view of its bytes, bounds checked."""
         data = self.view(holder.get("bufferView"), f"{where}.bufferView")
         offset = self.integer(holder, "byteOffset", where, default=0)
-        size = dtype.itemsize * prod(shape)
-        stride = size
+        size = stride = dtype.itemsize * prod(shape)
         view = self.items("bufferViews")[holder["bufferView"]]
         if "byteStride" in view:
             stride = self.integer(view, "byteStride", f"bufferViews[{holder['bufferView']}]", low=1)
@@ -197,20 +183,16 @@ class Gltf:
         strides = (stride,) + tuple(np.zeros((1, *shape), dtype).strides[1:])
         return np.ndarray((count, *shape), dtype, data, offset, strides)
 
-    def image(self, index: object) -> tuple[bytes, str]:
-        """The encoded bytes of an image, and the mime type that its first bytes show."""
+    def image(self, index: object) -> bytes:
+        """The encoded bytes of an image, which begins as a PNG, a JPEG or a WebP image does."""
         image = self.item("images", index, "image")
         where = f"images[{index}]"
         if "bufferView" in image:
             data = bytes(self.view(image["bufferView"], f"{where}.bufferView"))
         else:
             data = uri_bytes(self.path, image.get("uri"), f"{where}.uri")
-        if data[:8] == b"\x89PNG\r\n\x1a\n":
-            return data, "image/png"
-        if data[:3] == b"\xff\xd8\xff":
-            return data, "image/jpeg"
-        if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
-            return data, "image/webp"
+        if data.startswith((b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff")) or (data[:4], data[8:12]) == (b"RIFF", b"WEBP"):
+            return data
         if data[:8] == b"\xabKTX 20\xbb":
             raise AssetError(refusal(self.path, "KHR_texture_basisu"))
         raise self.error(where, "a PNG, JPEG or WebP image", data[:12])

@@ -37,11 +37,10 @@ def with_eyes(bones: Float[Array, "bones 4 4"], avatar: Avatar) -> Float[Array, 
 
 def eyes_json(avatar: Avatar) -> JsonObject:
     """The extension's `face`."""
-    eyes = [
-        {"center": eye.center.tolist(), "axis": eye.axis.tolist(), "radius": float(eye.radius)}
-        for eye in avatar.eyes or ()
-    ]
-    return {"version": FACE_VERSION, "eyes": eyes}
+    eyes = (
+        {"center": e.center.tolist(), "axis": e.axis.tolist(), "radius": float(e.radius)} for e in avatar.eyes or ()
+    )
+    return {"version": FACE_VERSION, "eyes": list(eyes)}
 
 
 def bound_to_eyes(joints: Array, face: FaceShapes, first: int) -> Array:
@@ -104,12 +103,7 @@ def read_face(
         return None
     balls = gltf.numbers(item, "balls", where, (2, 2))
     count, mesh = len(arrays["positions"]), item["mesh"]
-    if (
-        (balls != np.floor(balls)).any()
-        or (balls[:, 0] < 0).any()
-        or (balls[:, 1] < 1).any()
-        or (balls.sum(1) > count).any()
-    ):
+    if (balls != np.floor(balls)).any() or (balls < [0, 1]).any() or (balls.sum(1) > count).any():
         raise gltf.error(f"{where}.balls", f"first vertex and count of both, within {count}", item["balls"])
     balls = balls.astype(np.uint32)
     _fold_to_head(gltf, arrays, balls.astype(int), first, f"meshes[{mesh}].primitives[0].JOINTS_0")
@@ -145,9 +139,8 @@ def _read_follow(gltf: Gltf, item: object, balls: Array, finest: FaceShapes | No
     """The face of a level below the finest one."""
     if not isinstance(item, dict) or finest is None:
         raise gltf.error(where, "an object, of a level below a finest one with a face", item)
-    vertices, sources, weights = (
-        gltf.accessor(item.get(name), field=f"{where}.{name}") for name in ("vertices", "sources", "weights")
-    )
+    names = ("vertices", "sources", "weights")
+    vertices, sources, weights = (gltf.accessor(item.get(name), field=f"{where}.{name}") for name in names)
     count = len(vertices)
     if count > MOST_MOVING or (vertices.shape, sources.shape, weights.shape) != ((count,), (count, 4), (count, 4)):
         rows = f"at most {MOST_MOVING} rows of one vertex, four sources and four weights"
@@ -164,8 +157,7 @@ def _fold_to_head(gltf: Gltf, arrays: dict[str, Array], balls: Array, first: int
     if joints.dtype != np.uint8 or joints.shape[1:] != (4,) or joints.shape != weights.shape:
         # refused with all other skins of another kind
         return
-    on_eye = np.zeros(len(joints), bool)
-    on_eye |= ((joints >= first) & (joints < first + 2)).any(axis=1)
+    on_eye = np.asarray(((joints >= first) & (joints < first + 2)).any(axis=1))
     for bone, (start, count) in enumerate(balls):
         ball = slice(start, start + count)
         if not ((joints[ball] == first + bone) | (weights[ball] == 0)).all():

@@ -45,9 +45,8 @@ def mixamo_names() -> dict[str, str]:
     names = dict(_MIXAMO_BODY)
     for side in ("left", "right"):
         names |= {f"{side}_{joint}": side.title() + name for joint, name in _MIXAMO_SIDE.items()}
-        names |= {
-            f"{side}_{finger}{i}": f"{side.title()}Hand{finger.title()}{i}" for finger in FINGERS for i in (1, 2, 3)
-        }
+        fingers = [f"{finger}{n}" for finger in FINGERS for n in (1, 2, 3)]
+        names |= {f"{side}_{finger}": f"{side.title()}Hand{finger.title()}" for finger in fingers}
     return names
 
 
@@ -71,13 +70,9 @@ def find_naming(path: Path, document: JsonObject) -> Naming:
     Raises:
         AssetError: a humanoid extension is not what it should be.
     """
-    nodes = document.get("nodes", [])
-    extensions = document.get("extensions", {})
-    for extension, name, version in (
-        ("VRMC_vrm", "VRM 1.0", 1),
-        ("VRMC_vrm_animation", "VRM animation", 1),
-        ("VRM", "VRM 0.x", 0),
-    ):
+    nodes, extensions = document.get("nodes", []), document.get("extensions", {})
+    humanoids = (("VRMC_vrm", "VRM 1.0", 1), ("VRMC_vrm_animation", "VRM animation", 1), ("VRM", "VRM 0.x", 0))
+    for extension, name, version in humanoids:
         if isinstance(extensions, dict) and extension in extensions:
             named = _humanoid_bones(path, extensions[extension], extension, len(nodes))
             return _fitted(name, vrm_names(version), named)

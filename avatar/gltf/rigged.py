@@ -31,8 +31,8 @@ from avatar.gltf.scene import (
     read_skin,
     world_from_node,
 )
-from avatar.rotation import axis_angle_from_matrix, rotation_between
-from avatar.skeleton import JOINTS, skin_transforms
+from avatar.rotation import axis_angle_from_matrix, rotation_between, unit_or_zero
+from avatar.skeleton import JOINT_NUMBERS, JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points, strongest_four
 from command.errors import AssetError
 
@@ -116,16 +116,11 @@ class NodeTree:
         self.world = world_from_node(gltf)
         self.parent = node_parents(gltf)
         self.bind: dict[int, Array] = {}  # world_from_node in the bind pose, of the nodes that skins name
-        self.joint_of_node = self._nearest_joints()
-
-    def _nearest_joints(self) -> list[int]:
-        """The joint that carries each node: itself or its nearest ancestor among the 52, else the pelvis."""
-        index = {node: joint for joint, node in enumerate(self.joint_nodes)}
-        nearest = [-1] * len(self.parent)
+        # the joint that carries each node: itself or its nearest ancestor among the 52, else the pelvis
+        self.joint_of_node = [0] * len(self.parent)
         for node in parents_first(self.parent):
-            above = self.parent[node]
-            nearest[node] = index.get(node, nearest[above] if above >= 0 else 0)
-        return nearest
+            above = self.joint_of_node[self.parent[node]] if self.parent[node] >= 0 else 0
+            self.joint_of_node[node] = joint_nodes.index(node) if node in joint_nodes else above
 
     def bind_skin(self, number: int) -> tuple[Float[Array, "4 4"], Int[Array, "joints"]]:
         """Where a skin's mesh is placed in the bind pose (S), and the one of the 52 joints for each of its own.
@@ -217,21 +212,16 @@ def _upright(path: Path, joints: Float[Array, "52 3"]) -> tuple[Float[Array, "3 
     up = at["neck"] - at["pelvis"]
     found = np.stack([left, up]) / np.linalg.norm([left, up], axis=1, keepdims=True)
     snapped = np.round(found)
-    off = np.degrees(
-        np.arccos(np.clip((found * snapped).sum(1) / np.maximum(np.linalg.norm(snapped, axis=1), 1), -1, 1))
-    )
+    cosines = (found * snapped).sum(1) / np.maximum(np.linalg.norm(snapped, axis=1), 1)
+    off = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
     if (np.abs(snapped).sum(1) != 1).any() or (off > 20).any() or abs(snapped[0] @ snapped[1]) > 0:
         raise AssetError(
             f"{path}: joints: expected a person standing along the axes, found left {np.round(found[0], 2)} "
             f"and up {np.round(found[1], 2)}"
         )
     rotation = np.stack([snapped[0], snapped[1], np.cross(snapped[0], snapped[1])])
-    if np.array_equal(rotation, np.eye(3)):
-        return rotation, ""
-    return (
-        rotation,
-        f"turned to face +z with +y up (left was {snapped[0].astype(int)}, up was {snapped[1].astype(int)})",
-    )
+    was = f"left was {snapped[0].astype(int)}, up was {snapped[1].astype(int)}"
+    return rotation, "" if np.array_equal(rotation, np.eye(3)) else f"turned to face +z with +y up ({was})"
 
 
 def _arms_horizontal(vertices, joints, skin: SkinWeights):
@@ -240,17 +230,15 @@ def _arms_horizontal(vertices, joints, skin: SkinWeights):
     Returns vertices, joints and a note. An A-pose is skinned to the T-pose with the rig's own weights; the upper arm,
     the forearm and the hand are each turned the shortest way.
     """
-    number = {name: i for i, name in enumerate(JOINTS)}
     pose = np.zeros((len(JOINTS), 3))
     worst = 0.0
     for side, outward in (("left", 1.0), ("right", -1.0)):
-        chain = [number[f"{side}_{joint}"] for joint in ("shoulder", "elbow", "wrist", "middle1")]
+        chain = [JOINT_NUMBERS[f"{side}_{joint}"] for joint in ("shoulder", "elbow", "wrist", "middle1")]
         arm = joints[chain[2]] - joints[chain[0]]
         worst = max(worst, np.degrees(np.arctan2(abs(arm[1]), outward * arm[0])))
         accumulated = np.eye(3)
         for upper, lower in zip(chain, chain[1:], strict=False):
-            bone = joints[lower] - joints[upper]
-            bone = bone / np.linalg.norm(bone)
+            bone = unit_or_zero(joints[lower] - joints[upper])
             # keep what the bone leans forward: only its fall below the horizontal is the A of an A-pose
             level = np.array([outward * np.sqrt(max(1 - bone[2] ** 2, 0)), 0.0, bone[2]])
             turn = rotation_between(bone, level)
@@ -260,8 +248,5 @@ def _arms_horizontal(vertices, joints, skin: SkinWeights):
         return vertices, joints, f"arms rest {worst:.1f} degrees from horizontal: kept as pose 0"
     transforms = skin_transforms(pose, joints, rest=np.zeros((len(JOINTS), 3)))
     posed = np.einsum("kij,kj->ki", transforms[:, :3, :3], joints) + transforms[:, :3, 3]
-    return (
-        skin_points(vertices, skin, transforms),
-        posed,
-        f"arms rested {worst:.0f} degrees from horizontal: skinned to a T-pose",
-    )
+    note = f"arms rested {worst:.0f} degrees from horizontal: skinned to a T-pose"
+    return skin_points(vertices, skin, transforms), posed, note

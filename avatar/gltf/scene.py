@@ -1,6 +1,5 @@
 """What a glTF file's accessors mean: the node tree, skins, triangles, materials and their base color."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +7,7 @@ from jaxtyping import Float, Int, UInt32
 from numpy import ndarray as Array
 
 from avatar.gltf.document import Gltf, refusal
-from avatar.rotation import matrix_from_quaternion
+from avatar.rotation import affine, matrix_from_quaternion
 from avatar.texture import bytes_of, linear_from_srgb, srgb_from_linear
 from command.errors import AssetError
 from files.picture import WITH_WEBP, decode_picture
@@ -16,18 +15,15 @@ from files.picture import WITH_WEBP, decode_picture
 TRIANGLES = 4  # the mode of a primitive
 
 
-@dataclass(frozen=True)
-class Skin:
+class Skin(NamedTuple):
     """The joints of a skinned mesh. A vertex is at sum_k w_k world_from_node[k] joint_from_mesh[k] x."""
 
-    name: str
     # the node of each joint
     nodes: tuple[int, ...]
     joint_from_mesh: Float[Array, "joints 4 4"]  # inverse bind matrices
 
 
-@dataclass(frozen=True)
-class Primitive:
+class Primitive(NamedTuple):
     """One drawable part of a mesh: vertex attributes by their glTF names, and triangles."""
 
     # float32, except JOINTS_n, which keep their integer type
@@ -80,9 +76,9 @@ class NodePlace(NamedTuple):
 def node_place(gltf: Gltf, index: int) -> NodePlace:
     """The transform of a node that has no `matrix`."""
     node, where = gltf.items("nodes")[index], f"nodes[{index}]"
-    translation = gltf.numbers(node, "translation", where, (3,)) if "translation" in node else np.zeros(3)
-    rotation = gltf.numbers(node, "rotation", where, (4,)) if "rotation" in node else np.array([0.0, 0, 0, 1])
-    scale = gltf.numbers(node, "scale", where, (3,)) if "scale" in node else np.ones(3)
+    given = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3} | node
+    translation, scale = (gltf.numbers(given, name, where, (3,)) for name in ("translation", "scale"))
+    rotation = gltf.numbers(given, "rotation", where, (4,))
     length = np.linalg.norm(rotation)
     # files round their quaternions; more is another mistake
     if abs(length - 1) > 0.01:
@@ -96,9 +92,7 @@ def parent_from_node(gltf: Gltf, index: int) -> Float[Array, "4 4"]:
     if "matrix" in node:
         return gltf.numbers(node, "matrix", f"nodes[{index}]", (4, 4)).T.copy()
     translation, rotation, scale = node_place(gltf, index)
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = matrix_from_quaternion(rotation) * scale, translation
-    return matrix
+    return affine(matrix_from_quaternion(rotation) * scale, translation)
 
 
 def world_from_node(gltf: Gltf) -> Float[Array, "nodes 4 4"]:
@@ -133,7 +127,7 @@ def read_skin(gltf: Gltf, index: object, *, field: str = "skin") -> Skin:
         if len(stored) < len(nodes):
             raise gltf.error(field, f"{len(nodes)} matrices", len(stored))
         matrices = stored[: len(nodes)].astype(np.float64)
-    return Skin(str(skin.get("name", "")), nodes, matrices)
+    return Skin(nodes, matrices)
 
 
 def primitives(gltf: Gltf, mesh: object) -> list[dict]:
@@ -197,14 +191,6 @@ def triangles(gltf: Gltf, mesh: int, primitive: int, vertices: int) -> UInt32[Ar
     return indices.reshape(-1, 3)
 
 
-def texture_image(gltf: Gltf, texture: object, *, field: str = "texture") -> int:
-    """The image of a texture; EXT_texture_webp's where it has one."""
-    item, where = gltf.item("textures", texture, field), f"textures[{texture}]"
-    extension = gltf.extensions(item, where).get("EXT_texture_webp")
-    source = extension.get("source") if isinstance(extension, dict) else item.get("source")
-    return gltf.index("images", source, f"{where}.source")
-
-
 def base_color_image(gltf: Gltf, material: int) -> int | None:
     """The image of a material's base colour; None where it has a plain colour."""
     texture, where = base_texture(gltf, material), f"materials[{material}].pbrMetallicRoughness.baseColorTexture"
@@ -214,7 +200,9 @@ def base_color_image(gltf: Gltf, material: int) -> int | None:
     plain = {"offset": [0, 0], "rotation": 0, "scale": [1, 1], "texCoord": texture.get("texCoord", 0)}
     if not isinstance(transform, dict) or any(transform.get(key, rest) != rest for key, rest in plain.items()):
         raise gltf.error(f"{where} KHR_texture_transform", "one that moves nothing: bake it into the UVs", transform)
-    return texture_image(gltf, texture.get("index"), field=f"{where}.index")
+    item, where = gltf.item("textures", texture.get("index"), f"{where}.index"), f"textures[{texture.get('index')}]"
+    webp = gltf.extensions(item, where).get("EXT_texture_webp")
+    return gltf.index("images", (webp if isinstance(webp, dict) else item).get("source"), f"{where}.source")
 
 
 def material_of(gltf: Gltf, index: int) -> dict:
@@ -243,15 +231,12 @@ def read_base_color(gltf: Gltf, index: int, notes: list[str]) -> tuple[Array, Ar
     What is assumed is added to the notes.
     """
     material = material_of(gltf, index)
-    coloring = _within(gltf, index, "pbrMetallicRoughness")
-    factor = np.ones(4)
-    if "baseColorFactor" in coloring:
-        factor = gltf.numbers(coloring, "baseColorFactor", f"materials[{index}].pbrMetallicRoughness", (4,))
+    coloring = {"baseColorFactor": [1.0] * 4} | _within(gltf, index, "pbrMetallicRoughness")
+    factor = gltf.numbers(coloring, "baseColorFactor", f"materials[{index}].pbrMetallicRoughness", (4,))
     source = base_color_image(gltf, index)
     if source is not None:
-        data, _mime = gltf.image(source)
         try:
-            rgba = decode_picture(data, "RGBA", formats=WITH_WEBP)
+            rgba = decode_picture(gltf.image(source), "RGBA", formats=WITH_WEBP)
         except ValueError as error:
             raise AssetError(f"{gltf.path}: images[{source}]: {error}") from None
     else:

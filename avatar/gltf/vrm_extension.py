@@ -88,9 +88,7 @@ def earlier_extension(gltf: Gltf, avatar: Avatar, likeness: Likeness) -> JsonObj
     """
     bones = _bones(gltf, avatar, 0)
     x, y, z = FOREHEAD if avatar.eyes is None else eye_offsets(avatar).mean(0).tolist()
-    shapes_by_name: dict[str, dict[int, float]] = {}
-    if avatar.eyes is not None:
-        shapes_by_name = {name: shapes_of(recipe) for name, recipe in (PRESETS | {k: {k: 1.0} for k in SHAPES}).items()}
+    recipes = {} if avatar.eyes is None else PRESETS | {name: {name: 1.0} for name in SHAPES}
     return {
         "exporterVersion": "selfscan",
         "specVersion": "0.0",
@@ -105,7 +103,7 @@ def earlier_extension(gltf: Gltf, avatar: Avatar, likeness: Likeness) -> JsonObj
             "meshAnnotations": [{"mesh": 0, "firstPersonFlag": "Auto"}], "lookAtTypeName": "Bone",
             **_reach("lookAt", lambda degrees: {"curve": LINEAR, "xRange": degrees, "yRange": degrees}),
         },
-        "blendShapeMaster": {"blendShapeGroups": [_group(name, shapes) for name, shapes in shapes_by_name.items()]},
+        "blendShapeMaster": {"blendShapeGroups": [_group(name, shapes_of(recipe)) for name, recipe in recipes.items()]},
         "secondaryAnimation": {"boneGroups": [], "colliderGroups": []},
         # drawn as glTF says: unlit
         "materialProperties": [{

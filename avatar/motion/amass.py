@@ -6,7 +6,7 @@ not.
 """
 
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -96,24 +96,18 @@ def write_amass(path: Path | str, clip: Clip | Motion, *, up: str = "z", dtype: 
     }
     if clip.pelvis_height is not None:
         fields["pelvis_height"] = np.array(float(clip.pelvis_height))
-    shapes = {name: first.shape[1:] for name, first in rows(0, 1).items()}
-    _write_members(path, clip.frames, rows, shapes, fields, np.dtype(dtype))
+    _write_members(path, clip.frames, rows, fields)
 
 
 def _write_members(
-    path: Path | str,
-    frames: int,
-    rows: Callable[[int, int], dict[str, Array]],
-    shapes: Mapping[str, tuple[int, ...]],
-    fields: Mapping[str, Array],
-    dtype: np.dtype,
+    path: Path | str, frames: int, rows: Callable[[int, int], dict[str, Array]], fields: dict[str, Array]
 ) -> None:
-    """The archive's members as NumPy writes them, those of `shapes` by rows; whole or not at all."""
+    """The archive's members as NumPy writes them, those of `rows` a stretch at a time; whole or not at all."""
     with whole_file(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, row in shapes.items():
+        for name, first in rows(0, 1).items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                descr = np.lib.format.dtype_to_descr(dtype)
-                header = {"descr": descr, "fortran_order": False, "shape": (frames, *row)}
+                descr = np.lib.format.dtype_to_descr(first.dtype)
+                header = {"descr": descr, "fortran_order": False, "shape": (frames, *first.shape[1:])}
                 np.lib.format.write_array_header_1_0(member, header)
                 for start in range(0, frames, WRITTEN_AT_ONCE):
                     member.write(rows(start, min(start + WRITTEN_AT_ONCE, frames))[name].tobytes())

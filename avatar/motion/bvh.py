@@ -15,7 +15,7 @@ from numpy import ndarray as Array
 
 from avatar.motion.clip import Motion, RestSkeleton, checked_rate
 from avatar.motion.retarget import retarget
-from avatar.motion.rig import AnimatedRig, runs
+from avatar.motion.rig import AnimatedRig, PlacedJoints, runs
 from avatar.motion.smplh_rig import is_smplh, leg_length, read_exactly
 from avatar.rotation import matrix_from_axis_angle
 from command.errors import AssetError
@@ -55,64 +55,55 @@ class Bvh(AnimatedRig):
             raise ValueError(f"frames {start}:{stop} are not inside {self.path}, which has {self.frames}")
         if start == stop:
             return np.zeros((0, self.width))
-        block = start // INDEX_STEP
-        byte, line = self.places[block]
-        skip, rows, row = start - block * INDEX_STEP, [], []
+        rows, row = np.zeros((stop - start, self.width)), []
+        # the remembered place is at or before the first frame
+        byte, line = self.places[start // INDEX_STEP]
+        frame = start - start % INDEX_STEP
         with open_input(self.path, "a BVH file", most=MAX_BYTES) as file:
             file.seek(byte)
-            while len(rows) < stop - start:
+            while frame < stop:
                 text = file.readline(LONGEST_LINE)
                 if not text:
                     raise AssetError(f"{self.path}: line {line}: the file has become shorter while it was read")
                 row += text.split()
                 if len(row) >= self.width:
-                    if skip:
-                        skip -= 1
-                    else:
-                        rows.append(self._numbers(row, line, start + len(rows)))
-                    row = []
+                    if frame >= start:
+                        rows[frame - start] = self._numbers(row, line, frame)
+                    frame, row = frame + 1, []
                 line += 1
-        return np.array(rows)
+        return rows
 
     def _numbers(self, words: list[bytes], line: int, frame: int) -> Array:
+        place = f"{self.path}: line {line}: frame {frame}"
         try:
             row = np.array([float(word) for word in words])
         except ValueError as error:
-            raise AssetError(f"{self.path}: line {line}: frame {frame}: {error}") from None
+            raise AssetError(f"{place}: {error}") from None
         if len(row) != self.width:
-            raise AssetError(
-                f"{self.path}: line {line}: frame {frame} should have {self.width} numbers, has {len(row)}"
-            )
-        if not (np.abs(row) < LARGEST).all():
-            channel = int(np.argmax(~(np.abs(row) < LARGEST)))
-            joint = int(np.searchsorted(np.cumsum([len(c) for c in self.channels]), channel, side="right"))
-            place = f"{self.path}: line {line}: frame {frame}, joint {self.names[joint]}"
-            raise AssetError(f"{place} is not finite, or beyond {LARGEST:g}")
+            raise AssetError(f"{place} should have {self.width} numbers, has {len(row)}")
+        good = np.abs(row) < LARGEST
+        if not good.all():
+            ends = np.cumsum([len(c) for c in self.channels])
+            joint = self.names[int(np.searchsorted(ends, np.argmin(good), side="right"))]
+            raise AssetError(f"{place}, joint {joint} is not finite, or beyond {LARGEST:g}")
         return row
 
-    def transforms(
-        self, frames: Int[Array, "frames"]
-    ) -> tuple[Float[Array, "frames joints 3 3"], Float[Array, "frames joints 3"]]:
+    def transforms(self, frames: Int[Array, "frames"]) -> PlacedJoints:
         """Forward kinematics: rotation world_from_joint and position of every joint, in the file's world."""
-        values, count = np.concatenate([self.values(*run) for run in runs(frames)]), len(frames)
-        rotations, positions = np.zeros((count, len(self.names), 3, 3)), np.zeros((count, len(self.names), 3))
-        column = 0
-        for joint, channels in enumerate(self.channels):
-            R = np.broadcast_to(np.eye(3), (count, 3, 3))
-            t = np.broadcast_to(self.offsets[joint], (count, 3)).copy()
+        columns = iter(np.concatenate([self.values(*run) for run in runs(frames)]).T)
+        rotations = np.tile(np.eye(3), (len(frames), len(self.names), 1, 1))
+        positions = np.tile(self.offsets, (len(frames), 1, 1))
+        for joint, (parent, channels) in enumerate(zip(self.parents, self.channels, strict=True)):
+            R, t = rotations[:, joint], positions[:, joint]
             for name in channels:
-                axis = "XYZ".index(name[0])
+                axis, values = "XYZ".index(name[0]), next(columns)
                 if name.endswith("position"):
-                    t[:, axis] = values[:, column]
+                    t[:, axis] = values
                 else:
-                    R = R @ matrix_from_axis_angle(np.eye(3)[axis] * np.radians(values[:, column, None]))
-                column += 1
-            parent = self.parents[joint]
-            if parent < 0:
-                rotations[:, joint], positions[:, joint] = R, t
-            else:
-                rotations[:, joint] = rotations[:, parent] @ R
-                positions[:, joint] = positions[:, parent] + (rotations[:, parent] @ t[..., None])[..., 0]
+                    R[:] = R @ matrix_from_axis_angle(np.eye(3)[axis] * np.radians(values[:, None]))
+            if parent >= 0:
+                t[:] = positions[:, parent] + (rotations[:, parent] @ t[..., None])[..., 0]
+                R[:] = rotations[:, parent] @ R
         return rotations, positions
 
     @property
@@ -138,10 +129,9 @@ def open_bvh(path: Path | str) -> Bvh:
             reader = _Lines(path, file)
             tree = _hierarchy(reader)
             frames, rate = _motion_header(reader)
-            places = _index(reader, frames, tree.width)
+            return replace(tree, frames=frames, rate=rate, places=_index(reader, frames, tree.width))
     except OSError as error:
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
-    return replace(tree, frames=frames, rate=rate, places=places)
 
 
 class _Lines:
@@ -269,16 +259,12 @@ def _index(reader: _Lines, frames: int, width: int) -> tuple[tuple[int, int], ..
     """Where every 64th frame begins; checks that there are as many numbers as promised."""
     if not width:
         raise reader.error("no joint has channels")
-    file, places, found, words = reader.file, [], 0, 0
-    line, byte = b"", reader.byte
-    while True:
-        byte += len(line)
-        line = file.readline(LONGEST_LINE)
+    places, found, words, byte = [], 0, 0, reader.byte
+    while line := reader.file.readline(LONGEST_LINE):
         reader.number += 1
-        if not line:
-            break
-        if words == 0 and found % INDEX_STEP == 0 and len(places) == found // INDEX_STEP:
+        if words == 0 and len(places) * INDEX_STEP == found:
             places.append((byte, reader.number))
+        byte += len(line)
         words += len(line.split())  # a frame may be wrapped over several lines
         if words > width:
             raise reader.error(f"frame {found} should have {width} numbers, has {words}")

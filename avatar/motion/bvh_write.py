@@ -57,8 +57,7 @@ def write_bvh(path: Path | str, motion: Clip | Motion, joints: Float[Array, "52 
             angles = euler_zxy(matrix_from_axis_angle(clip.axis_angle), before)
             before = angles[-1]
             turns = np.degrees(angles)[:, order].reshape(len(angles), 156)
-            rows = np.concatenate([clip.root / unit, turns], axis=1)
-            np.savetxt(file, rows, fmt="%.9g")
+            np.savetxt(file, np.concatenate([clip.root / unit, turns], axis=1), fmt="%.9g")
 
 
 def euler_zxy(R: Float[Array, "frames n 3 3"], before: Float[Array, "n 3"]) -> Float[Array, "frames n 3"]:
@@ -74,9 +73,8 @@ def euler_zxy(R: Float[Array, "frames n 3 3"], before: Float[Array, "n 3"]) -> F
     out = np.empty((*b.shape, 3))
     for frame in range(len(R)):
         first = np.stack([a[frame], b[frame], c[frame]], -1)
-        if locked[frame].any():
-            held = np.stack([together[frame] - sign[frame] * before[:, 2], b[frame], before[:, 2]], -1)
-            first = np.where(locked[frame][:, None], held, first)
+        held = np.stack([together[frame] - sign[frame] * before[:, 2], b[frame], before[:, 2]], -1)
+        first = np.where(locked[frame][:, None], held, first)
         second = np.stack([first[:, 0] + np.pi, np.pi - first[:, 1], first[:, 2] + np.pi], -1)
         both = np.stack([first, second])
         both += 2 * np.pi * np.round((before - both) / (2 * np.pi))

@@ -14,7 +14,7 @@ and the rest pose says neither where the knees point nor where the chest faces. 
 Frames of torso joints that lie within 25 degrees of the axes are snapped to them: rigs are built that way.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -39,8 +39,7 @@ LEAST_BEND, LEAST_AGREEMENT = 0.05, 0.7
 LOWEST = 20.0  # percent
 
 
-@dataclass(frozen=True)
-class Sampled:
+class Sampled(NamedTuple):
     """Frames of a rig's motion, spread over it."""
 
     rotations: Float[Array, "frames joints 3 3"]  # turns away from rest, in the file's world
@@ -74,11 +73,9 @@ def calibrated_alignment(
         return near_axes(left_up_frame(left, up))
 
     pelvis = torso(joints.pelvis, "hip", sampled.mean_direction(joints.pelvis, hips, shoulders))
-    chest_up = sampled.mean_direction(joints.chest, shoulders, at[:, joints.head])
-    if joints.chest == joints.pelvis:
-        chest = pelvis
-    else:
-        chest = torso(joints.chest, "shoulder", chest_up)
+    chest = pelvis
+    if joints.chest != joints.pelvis:
+        chest = torso(joints.chest, "shoulder", sampled.mean_direction(joints.chest, shoulders, at[:, joints.head]))
     notes.append(
         f"rest pose: no person's (all bones along one axis); found from the motion: up {axis_name(pelvis[:, 1])}, "
         f"facing {axis_name(pelvis[:, 2])} of {rig.names[joints.pelvis]}"

@@ -52,9 +52,16 @@ class Clip:
 
     def read(self, start: int, stop: int) -> "Clip":
         """Frames start .. stop - 1, as `Motion.read` gives them."""
-        face = None if self.face is None else self.face[start:stop]
-        gaze = None if self.gaze is None else self.gaze[start:stop]
-        return replace(self, axis_angle=self.axis_angle[start:stop], root=self.root[start:stop], face=face, gaze=gaze)
+        return self.motion("").read(start, stop)
+
+    def motion(self, name: str) -> "Motion":
+        """The same as a motion, held whole."""
+        face, gaze = self.face, self.gaze
+        return Motion(
+            name, self.frames, self.rate, self.notes,
+            lambda start, stop: (self.axis_angle[start:stop], self.root[start:stop]), self.pelvis_height,
+            faces=None if face is None or gaze is None else lambda start, stop: (face[start:stop], gaze[start:stop]),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

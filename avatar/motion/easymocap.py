@@ -30,7 +30,6 @@ from avatar.motion.pose_vector import (
     PoseLayout,
     expanded,
     given_pelvis,
-    hand_from_coefficients,
     pose_layout,
     readable,
     up_axis,
@@ -67,7 +66,7 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
     path = Path(path)
     notes: list[str] = []
     name_of, frames = _frames(path, notes)
-    person, lengths, layout, apart = _opened(name_of(0), body, notes)
+    person, lengths, layout = _opened(name_of(0), body, notes)
 
     def rows(start: int, stop: int) -> dict[str, Array]:
         return _rows([name_of(frame) for frame in range(start, stop)], person, lengths)
@@ -86,7 +85,7 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
     def block(start: int, stop: int) -> tuple[Array, Array]:
         """Poses and roots of frames start .. stop - 1, as `Motion.block` gives them."""
         values = rows(start, stop)
-        pose = _joint_poses(values, layout, apart, body)
+        pose = _joint_poses(values, layout, body)
         places = np.broadcast_to(J0, (stop - start, 3))
         if used and body is not None:  # the fit may shape every frame differently
             change = values["shapes"][:, :used] - shapes[:used]
@@ -123,13 +122,13 @@ def read_fit(files: Sequence[Path], *, body: Body) -> EasyMocapFit:
         AssetError: as `read_easymocap`.
     """
     notes: list[str] = []
-    person, lengths, layout, apart = _opened(files[0], body, notes)
+    person, lengths, layout = _opened(files[0], body, notes)
     values = _rows(files, person, lengths)
-    pose = _joint_poses(values, layout, apart, body)
+    pose = _joint_poses(values, layout, body)
     return EasyMocapFit(pose, values["Rh"], values["Th"], values.get("shapes", np.zeros((len(files), 0))), tuple(notes))
 
 
-def _opened(first: Path, body: Body | None, notes: list[str]) -> tuple[int, dict[str, int], PoseLayout, int]:
+def _opened(first: Path, body: Body | None, notes: list[str]) -> tuple[int, dict[str, int], PoseLayout]:
     """Who is read of the first frame's file, how many numbers each field has, and `_layout` of them."""
     people = _people(first)
     person = min(people)
@@ -140,7 +139,7 @@ def _opened(first: Path, body: Body | None, notes: list[str]) -> tuple[int, dict
         for key in ("poses", "Rh", "Th", "shapes", "handl", "handr")
         if key in people[person] or key in ("poses", "Rh", "Th")
     }
-    return person, lengths, *_layout(first, lengths, body, notes)
+    return person, lengths, _layout(first, lengths, body, notes)
 
 
 def _rows(files: Sequence[Path], person: int, lengths: dict[str, int]) -> dict[str, Array]:
@@ -158,25 +157,15 @@ def _rows(files: Sequence[Path], person: int, lengths: dict[str, int]) -> dict[s
     return out
 
 
-def _joint_poses(
-    values: dict[str, Array], layout: PoseLayout, apart: int, body: Body | None
-) -> Float[Array, "frames 52 3"]:
+def _joint_poses(values: dict[str, Array], layout: PoseLayout, body: Body | None) -> Float[Array, "frames 52 3"]:
     """Axis-angle vectors of all joints, the world's rotation in the root; the hands' mean is added here, once."""
-    pose = expanded(values["poses"], layout, body)
+    columns = np.concatenate([values[key] for key in ("poses", "handl", "handr") if key in values], 1)
+    pose = expanded(columns, layout, body)
     if pose[:, 0].any():
         q = quaternion_product(*(quaternion_from_axis_angle(v) for v in (values["Rh"], pose[:, 0])))
         pose[:, 0] = axis_angle_from_quaternion(q)
     else:
         pose[:, 0] = values["Rh"]
-    if apart:
-        for side, key in enumerate(("handl", "handr")):
-            hand = values[key]
-            if apart == 45:
-                assert body is not None and body.hands is not None  # _layout saw to it
-                hand = hand + body.hands.mean[side]
-            else:
-                hand = hand_from_coefficients(hand, side, body)
-            pose[:, 22 + 15 * side : 37 + 15 * side] = hand.reshape(-1, 15, 3)
     return pose
 
 
@@ -191,15 +180,14 @@ def _frames(path: Path, notes: list[str]) -> tuple[Callable[[int], Path], int]:
     except OSError as error:
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
     if not numbered:
-        inside = [name for name in RESULT_FOLDERS if (path / name).is_dir()]
-        hint = f"; its folder {inside[0]}/ may be meant" if inside else ""
+        inside = next((name for name in RESULT_FOLDERS if (path / name).is_dir()), "")
+        hint = f"; its folder {inside}/ may be meant" if inside else ""
         raise AssetError(f"{path}: expected EasyMocap frames 000000.json, 000001.json, ...; found none{hint}")
-    numbered.sort()
     # a million names would take ten times the memory
-    numbers, widths = np.array(numbered, np.int64).T
-    if (np.diff(numbers) == 0).any():
-        twice = int(numbers[np.argmax(np.diff(numbers) == 0)])
-        raise AssetError(f"{path}: frame {twice} is there twice, with and without leading zeros")
+    numbers, widths = np.array(sorted(numbered), np.int64).T
+    twice = numbers[1:][np.diff(numbers) == 0]
+    if len(twice):
+        raise AssetError(f"{path}: frame {twice[0]} is there twice, with and without leading zeros")
     missing = int(numbers[-1] - numbers[0]) + 1 - len(numbers)
     if missing:
         notes.append(f"frames: numbers {numbers[0]} to {numbers[-1]} skip {missing}; played without a gap")
@@ -208,10 +196,9 @@ def _frames(path: Path, notes: list[str]) -> tuple[Callable[[int], Path], int]:
 
 def _people(path: Path) -> dict[int, JsonObject]:
     """The people of one frame by their id."""
-    content = read_json(path, "a frame of EasyMocap", most=MAX_BYTES)
-    people = content
-    if isinstance(content, dict):
-        people = content.get("annots", [content])
+    people = read_json(path, "a frame of EasyMocap", most=MAX_BYTES)
+    if isinstance(people, dict):
+        people = people.get("annots", [people])
     if not isinstance(people, list) or not all(isinstance(person, dict) for person in people):
         raise AssetError(f"{path}: expected a list of people or an object with annots")
     found: dict[int, JsonObject] = {}
@@ -239,8 +226,8 @@ def _numbers(path: Path, person: JsonObject, key: str) -> Array:
     return np.array(value, np.float64)
 
 
-def _layout(path: Path, lengths: dict[str, int], body: Body | None, notes: list[str]) -> tuple[PoseLayout, int]:
-    """Layout of `poses`, and how many numbers handl and handr have (0: the hands are not apart)."""
+def _layout(path: Path, lengths: dict[str, int], body: Body | None, notes: list[str]) -> PoseLayout:
+    """Layout of `poses` and, where the hands are apart, of handl and handr behind it."""
     count = lengths["poses"]
     layout = pose_layout(count, root_apart=True)
     if layout is None:
@@ -251,15 +238,15 @@ def _layout(path: Path, lengths: dict[str, int], body: Body | None, notes: list[
     apart = lengths.get("handl", 0)
     if apart != lengths.get("handr", 0):
         raise AssetError(f"{path}: handl has {apart} numbers, handr {lengths.get('handr', 0)}")
-    if not apart:
-        notes.append(layout.note)
-        return layout, 0
-    if layout.hands is not None:
-        raise AssetError(f"{path}: hands twice: in poses ({count} numbers) and in handl and handr")
-    if not readable(layout._replace(components=0 if apart == 45 else apart), body) or (
-        apart == 45 and (body is None or body.hands is None)
-    ):
-        raise AssetError(f"{path}: handl has {apart} numbers: {NEEDS_MODEL}")
-    kind = "45 numbers, as offsets from the mean" if apart == 45 else f"{apart} PCA coefficients, expanded"
-    notes.append(f"hands: handl and handr, {kind}, mean added (EasyMocap's use_flat_mean: False)")
-    return layout, apart
+    if apart:
+        if layout.hands is not None:
+            raise AssetError(f"{path}: hands twice: in poses ({count} numbers) and in handl and handr")
+        full = apart == 45
+        kind = "45 numbers, as offsets from the mean" if full else f"{apart} PCA coefficients, expanded"
+        note = f"hands: handl and handr, {kind}, mean added (EasyMocap's use_flat_mean: False)"
+        hands = slice(count, count + 2 * apart)
+        layout = PoseLayout(layout.rooted, hands, 0 if full else apart, note, offsets=full)
+        if not readable(layout, body):
+            raise AssetError(f"{path}: handl has {apart} numbers: {NEEDS_MODEL}")
+    notes.append(layout.note)
+    return layout

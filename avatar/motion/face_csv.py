@@ -18,7 +18,7 @@ from numpy import ndarray as Array
 from avatar.face import SHAPES
 from avatar.face_names import shapes_called
 from avatar.gaze import gaze_of, turned_head
-from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, checked_rate
+from avatar.motion.clip import Clip, Motion, RestSkeleton, builtin_skeleton, checked_rate
 from command.errors import AssetError
 from files.input_file import read_text
 
@@ -41,7 +41,8 @@ def read_face_csv(path: Path | str, skeleton: RestSkeleton | None = None) -> Mot
     path, skeleton = Path(path), builtin_skeleton() if skeleton is None else skeleton
     lines = [line for line in read_text(path, WHAT, most=MAX_BYTES).splitlines() if line.strip()]
     header = [name.strip().strip('"') for name in lines[0][:LONGEST_HEADER].split(",")] if lines else []
-    columns = {k: shape for k, name in enumerate(header) for shape in _shape(name)}
+    called = {k: shapes_called(name) or {} for k, name in enumerate(header)}
+    columns = {k: next(iter(shapes)) for k, shapes in called.items() if len(shapes) == 1}
     if len(columns) < FEWEST:
         raise AssetError(f"{path}: expected {WHAT}, found {len(columns)} of their names in the first line")
     if len(set(columns.values())) < len(columns):
@@ -53,26 +54,14 @@ def read_face_csv(path: Path | str, skeleton: RestSkeleton | None = None) -> Mot
     values = np.array([_row(f"{path}: line {k}", line, len(header), wanted) for k, line in enumerate(lines[1:], 2)])
     weights = np.zeros((len(values), len(SHAPES)))
     weights[:, list(columns.values())] = np.clip(values[:, : len(columns)], 0.0, 1.0)
-    turns = np.zeros((len(values), 3))
-    if len(heads) == 3:
-        turns = values[:, len(columns) :] * [-1.0, -1.0, 1.0]
+    turns = values[:, len(columns) :] * [-1.0, -1.0, 1.0] if len(heads) == 3 else np.zeros((len(values), 3))
     notes = ["body: none in the file, in T-pose"]
     rate = checked_rate(f"{path}: Timecode", _rate(lines[1:], notes))
     gaze, pose = gaze_of(weights), turned_head(turns)
 
-    def block(start: int, stop: int) -> tuple[Array, Array]:
-        return pose[start:stop], np.tile([0.0, skeleton.pelvis_height, 0.0], (stop - start, 1))
-
-    def faces(start: int, stop: int) -> tuple[Array, Array]:
-        return weights[start:stop], gaze[start:stop]
-
-    return Motion(path.name, len(values), rate, tuple(notes), block, skeleton.pelvis_height, faces=faces)
-
-
-def _shape(name: str) -> list[int]:
-    """The number of the shape of a column; none: another column."""
-    shapes = shapes_called(name) or {}
-    return list(shapes) if len(shapes) == 1 else []
+    root = np.tile([0.0, skeleton.pelvis_height, 0.0], (len(values), 1))
+    clip = Clip(pose, root, rate, tuple(notes), skeleton.pelvis_height, weights, gaze)
+    return clip.motion(path.name)
 
 
 def _row(place: str, line: str, count: int, wanted: list[int]) -> Float[Array, "values"]:

@@ -26,25 +26,19 @@ HAND_RELAXED = np.array([0.24, 0.29, 0.36, 0.33, 0.18, -0.06])
 @cache
 def finger_axes() -> tuple[Array, Array]:
     """Flexion axis of each left finger joint (5, 3, 3) and the palm's normal, from the built-in hand."""
-    joints = builtin_body("male").joints
-    along = joints[JOINTS.index("left_middle1")] - joints[JOINTS.index("left_wrist")]
-    across = joints[JOINTS.index("left_index1")] - joints[JOINTS.index("left_pinky1")]
+    at = dict(zip(JOINTS, builtin_body("male").joints, strict=True))
+    along, across = at["left_middle1"] - at["left_wrist"], at["left_index1"] - at["left_pinky1"]
     palm = -unit_or_zero(np.cross(across, along))
     if palm[1] > 0:
         palm = -palm
     axes = np.zeros((5, 3, 3))
     for f, finger in enumerate(FINGERS):
         for n in range(3):
-            start, end = (
-                (f"left_{finger}{n + 1}", f"left_{finger}{n + 2}") if n < 2 else (f"left_{finger}2", f"left_{finger}3")
-            )
-            bone = unit_or_zero(joints[JOINTS.index(end)] - joints[JOINTS.index(start)])
-            inward = palm
+            first = min(n, 1) + 1
+            bone, inward = unit_or_zero(at[f"left_{finger}{first + 1}"] - at[f"left_{finger}{first}"]), palm
             # the thumb closes over the palm towards the little finger
             if finger == "thumb":
-                inward = unit_or_zero(
-                    joints[JOINTS.index("left_pinky1")] + 0.045 * palm - joints[JOINTS.index("left_thumb2")]
-                )
+                inward = unit_or_zero(at["left_pinky1"] + 0.045 * palm - at["left_thumb2"])
             axes[f, n] = unit_or_zero(np.cross(bone, inward - bone * (bone @ inward)))
     return axes, palm
 

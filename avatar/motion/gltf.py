@@ -22,7 +22,7 @@ from avatar.gltf.humanoid import Naming, find_naming
 from avatar.gltf.scene import NodePlace, node_parents, node_place, parents_first, read_skin
 from avatar.motion.clip import Motion, RestSkeleton
 from avatar.motion.retarget import retarget
-from avatar.motion.rig import AnimatedRig
+from avatar.motion.rig import AnimatedRig, PlacedJoints
 from avatar.motion.smplh_rig import LIMBS, is_smplh, off_t_pose, read_exactly
 from avatar.rotation import (
     matrix_from_quaternion,
@@ -60,22 +60,21 @@ class Channel:
 
     def at(self, time: Float[Array, "frames"]) -> Float[Array, "frames n"]:
         """Values at these times; before the first and after the last key the nearest one holds."""
-        last = len(self.times) - 1
-        k = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, max(last - 1, 0))
-        values = self.values if self.interpolation != "CUBICSPLINE" else self.values[:, 1]
+        last, spline = len(self.times) - 1, self.interpolation == "CUBICSPLINE"
+        k = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, last)
+        values = self.values[:, 1] if spline else self.values
         if self.interpolation == "STEP" or last == 0:
-            held = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, last)
-            return values[held].astype(np.float64)
+            return values[k].astype(np.float64)
+        k = np.minimum(k, last - 1)
         step = self.times[k + 1] - self.times[k]
         u = np.clip((time - self.times[k]) / step, 0, 1)
         a, b = values[k].astype(np.float64), values[k + 1].astype(np.float64)
-        if self.interpolation == "CUBICSPLINE":
+        if spline:
             out, into = self.values[k, 2].astype(np.float64), self.values[k + 1, 0].astype(np.float64)
             u, step = u[:, None], step[:, None]
             u2, u3 = u * u, u * u * u
-            between = (2 * u3 - 3 * u2 + 1) * a + step * (u3 - 2 * u2 + u) * out
-            between = between + (3 * u2 - 2 * u3) * b + step * (u3 - u2) * into
-            return between
+            leaving = (2 * u3 - 3 * u2 + 1) * a + step * (u3 - 2 * u2 + u) * out
+            return leaving + (3 * u2 - 2 * u3) * b + step * (u3 - u2) * into
         if self.rotation:
             return slerp(a, b, u)
         return a + u[:, None] * (b - a)
@@ -85,9 +84,8 @@ class Channel:
 class GltfRig(AnimatedRig):
     """The nodes that move a humanoid, called as in JOINTS, or "__..." where they lie between them."""
 
-    translation: Float[Array, "nodes 3"]
-    rotation: Float[Array, "nodes 4"]
-    scale: Float[Array, "nodes 3"]
+    # where they stand in their parents without a channel
+    local: tuple[NodePlace, ...]
     channels: dict[tuple[int, str], Channel] = field(repr=False)
     start: float  # seconds
     # world_from_bone and places at rest
@@ -97,24 +95,18 @@ class GltfRig(AnimatedRig):
     def rest_positions(self) -> Float[Array, "nodes 3"]:
         return self.rest[1]
 
-    def transforms(
-        self, frames: Int[Array, "frames"]
-    ) -> tuple[Float[Array, "frames nodes 3 3"], Float[Array, "frames nodes 3"]]:
+    def transforms(self, frames: Int[Array, "frames"]) -> PlacedJoints:
         """Turn away from rest and place of every node in the world."""
         world, places = self.world(self.start + frames / self.rate)
         return world @ np.swapaxes(self.rest[0], -1, -2), places
 
-    def world(
-        self, time: Float[Array, "frames"]
-    ) -> tuple[Float[Array, "frames nodes 3 3"], Float[Array, "frames nodes 3"]]:
+    def world(self, time: Float[Array, "frames"]) -> PlacedJoints:
         """world_from_node: rotations without scale, and places."""
         count = len(self.names)
         R, at = np.zeros((len(time), count, 3, 3)), np.zeros((len(time), count, 3))
         # with scale, which moves the children
         linear = np.zeros((len(time), count, 3, 3))
-        for node, parent in enumerate(self.parents):
-            own = np.broadcast_to(self.rotation[node], (len(time), 4))
-            place = np.broadcast_to(self.translation[node], (len(time), 3))
+        for node, (parent, (place, own, scale)) in enumerate(zip(self.parents, self.local, strict=True)):
             if (node, "rotation") in self.channels:
                 try:
                     own = normalised_quaternion(self.channels[node, "rotation"].at(time))
@@ -126,12 +118,11 @@ class GltfRig(AnimatedRig):
                 place = self.channels[node, "translation"].at(time)
             local = matrix_from_quaternion(own)
             if parent < 0:
-                R[:, node], at[:, node] = local, place
-                linear[:, node] = local * self.scale[node]
+                R[:, node], at[:, node], linear[:, node] = local, place, local * scale
             else:
                 R[:, node] = R[:, parent] @ local
                 at[:, node] = at[:, parent] + (linear[:, parent] @ place[..., None])[..., 0]
-                linear[:, node] = linear[:, parent] @ (local * self.scale[node])
+                linear[:, node] = linear[:, parent] @ (local * scale)
         return R, at
 
 
@@ -147,18 +138,13 @@ def read_gltf_motion(path: Path | str, skeleton: RestSkeleton | None = None) -> 
     naming = find_naming(gltf.path, gltf.json)
     rig = _rig(gltf, naming, notes)
     unturned = np.abs(rig.rest[0][[name in J for name in rig.names]] - np.eye(3)).max(initial=0) < 1e-4
-    if naming.name == "SMPL+H" and unturned and is_smplh(rig):
-        return read_exactly(rig, notes, pelvis_height=_pelvis_height(gltf))
-    return retarget(rig, skeleton, up_known=True, assumed=tuple(notes))
-
-
-def _pelvis_height(gltf: Gltf) -> float | None:
-    """The height of the pelvis that avatar/gltf/animation.py leaves in the animation's extras."""
+    if not (naming.name == "SMPL+H" and unturned and is_smplh(rig)):
+        return retarget(rig, skeleton, up_known=True, assumed=tuple(notes))
+    # avatar/gltf/animation.py leaves the height of the pelvis there
     extras = gltf.items("animations")[0].get("extras")
     height = extras.get("pelvisHeight") if isinstance(extras, dict) else None
-    if isinstance(height, int | float) and 0.01 < height < 100:
-        return float(height)
-    return None
+    known = float(height) if isinstance(height, int | float) and 0.01 < height < 100 else None
+    return read_exactly(rig, notes, pelvis_height=known)
 
 
 def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
@@ -178,16 +164,15 @@ def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
     place = {node: k for k, node in enumerate(order)}
     if not order:
         raise AssetError(f"{gltf.path}: nodes: expected a humanoid's joints, found none")
-    local = [_rest_place(gltf, node) for node in order]
+    local = tuple(_rest_place(gltf, node) for node in order)
     channels = _channels(gltf, place, notes)
     rate, start, frames = _timing(gltf, channels, notes)
-    translation, rotation, scale = (np.array(values) for values in zip(*local, strict=True))
     rig = GltfRig(
         path=gltf.path,
         names=tuple(joint_of.get(n, f"__{n}") if named else str(nodes[n].get("name", f"__{n}"))[:100] for n in order),
         parents=tuple(place[int(parents[n])] if parents[n] >= 0 else -1 for n in order),
-        frames=frames, rate=rate, translation=translation, rotation=rotation, scale=scale, channels=channels,
-        start=start, rest=(np.zeros((len(order), 3, 3)), np.zeros((len(order), 3))),
+        frames=frames, rate=rate, local=local, channels=channels, start=start,
+        rest=(np.zeros((len(order), 3, 3)), np.zeros((len(order), 3))),
     )  # fmt: skip
     _check_scales(gltf, rig, order)
     R, at = replace(rig, channels={}).world(np.zeros(1))
@@ -197,9 +182,9 @@ def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
 def _check_scales(gltf: Gltf, rig: GltfRig, order: list[int]) -> None:
     """Scales and places multiply down the tree: refused before they leave what numbers hold."""
     total = np.ones(len(order))
-    for k, parent in enumerate(rig.parents):
-        total[k] = rig.scale[k].max() * (total[parent] if parent >= 0 else 1)
-        if not (rig.scale[k].min() > 1e-9 and total[k] < 1e9 and np.abs(rig.translation[k]).max() < 1e9):
+    for k, (parent, (place, _, scale)) in enumerate(zip(rig.parents, rig.local, strict=True)):
+        total[k] = scale.max() * (total[parent] if parent >= 0 else 1)
+        if not (scale.min() > 1e-9 and total[k] < 1e9 and np.abs(place).max() < 1e9):
             raise gltf.error(f"nodes[{order[k]}] in the world", "of scale and place below 1e9", float(total[k]))
 
 
@@ -231,38 +216,33 @@ def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple
     samplers = gltf.objects(animation, "samplers", where)
     entries = gltf.objects(animation, "channels", where)
     channels: dict[tuple[int, str], Channel] = {}
+    # channels may share a sampler: its keys are held once
     held: dict[tuple[int, str], Channel] = {}
-    left_out: set[str] = set()
+    scaled = False
     for i, entry in enumerate(entries):
-        field_name = f"{where}.channels[{i}]"
-        target = entry.get("target")
+        field_name, target = f"{where}.channels[{i}]", entry.get("target")
         if not isinstance(target, dict) or not isinstance(target.get("path"), str):
             raise gltf.error(f"{field_name}.target", "an object with a path", target)
         if "node" not in target:
             continue  # an extension's target
-        node = gltf.index("nodes", target["node"], f"{field_name}.target.node")
-        if target["path"] not in PATHS:
-            left_out |= {target["path"][:20]} if node in place and target["path"] == "scale" else set()
+        node, path = gltf.index("nodes", target["node"], f"{field_name}.target.node"), target["path"]
+        scaled |= node in place and path == "scale"
+        if node not in place or path not in PATHS:
             continue
-        if node not in place:
-            continue
-        key = (place[node], target["path"])
-        if key in channels:
+        if (place[node], path) in channels:
             raise gltf.error(field_name, "the only one for its node and path", target)
         number = entry.get("sampler")
         if type(number) is not int or not 0 <= number < len(samplers):
             raise gltf.error(f"{field_name}.sampler", f"an index below {len(samplers)}", number)
-        # channels may share a sampler: its keys are held once
-        if (number, target["path"]) not in held:
-            channel = _channel(gltf, samplers[number], target["path"], f"{where}.samplers[{number}]")
-            held[number, target["path"]] = channel
+        if (number, path) not in held:
+            held[number, path] = _channel(gltf, samplers[number], path, f"{where}.samplers[{number}]")
             size = sum(one.times.nbytes + one.values.nbytes for one in held.values())
             if size > MAX_KEY_BYTES:
                 raise gltf.error(f"{where}.samplers", f"keys of at most {MAX_KEY_BYTES} bytes together", size)
-        channels[key] = held[number, target["path"]]
+        channels[place[node], path] = held[number, path]
     if not channels:
         raise gltf.error(f"{where}.channels", "rotations of a humanoid's joints", f"{len(entries)} others")
-    if left_out:
+    if scaled:
         notes.append("scale: animated scales are left out")
     return channels
 
@@ -284,10 +264,10 @@ def _channel(gltf: Gltf, sampler: JsonObject, path: str, where: str) -> Channel:
     if each == 3:
         values = values.reshape(len(times), 3, PATHS[path])
     if path == "rotation":
-        keys = values[:, 1] if each == 3 else values
-        length = np.linalg.norm(keys.astype(np.float64), axis=-1)
-        if (np.abs(length - 1) > 0.01).any():
-            bad = int(np.argmax(np.abs(length - 1) > 0.01))
+        length = np.linalg.norm((values[:, 1] if each == 3 else values).astype(np.float64), axis=-1)
+        wrong = np.abs(length - 1) > 0.01
+        if wrong.any():
+            bad = int(np.argmax(wrong))
             raise gltf.error(f"{where}.output", "unit quaternions", f"length {length[bad]:.3g} at key {bad}")
     elif not (np.abs(values) < 1e6).all():
         raise gltf.error(f"{where}.output", "places within 1e6 units", float(np.abs(values).max()))
@@ -299,8 +279,7 @@ def _timing(gltf: Gltf, channels: dict[tuple[int, str], Channel], notes: list[st
     start = min(float(c.times[0]) for c in channels.values())
     stop = max(float(c.times[-1]) for c in channels.values())
     times = max((c.times for c in channels.values()), key=len)
-    rate = ASSUMED_RATE
-    even = False
+    rate, even = ASSUMED_RATE, False
     if len(times) > 1:
         own = (len(times) - 1) / float(times[-1] - times[0])
         even = SLOWEST <= own <= FASTEST and bool((np.abs(np.diff(times) * own - 1) < 0.02).all())
@@ -322,32 +301,24 @@ def _rest(
     if not all(joint in place for joint in LIMBS) or naming.name.startswith("VRM"):
         # VRM rests in T-pose by its specification
         return R, at
-    best = off_t_pose(at, place)
-    for number in range(min(len(gltf.items("skins")), 64)):
-        skin = read_skin(gltf, number)
-        if "inverseBindMatrices" not in gltf.items("skins")[number] or not all(
-            naming.nodes[joint] in skin.nodes for joint in LIMBS
-        ):
+    best, head, hip = off_t_pose(at, place), place["head"], place["left_hip"]
+    for number, described in enumerate(gltf.items("skins")[:64]):
+        skin, where = read_skin(gltf, number), f"skins[{number}].inverseBindMatrices"
+        if "inverseBindMatrices" not in described or not all(naming.nodes[joint] in skin.nodes for joint in LIMBS):
             continue
         frames = {}
         for node, joint_from_mesh in zip(skin.nodes, skin.joint_from_mesh, strict=True):
             if node in order:
                 if not np.linalg.det(joint_from_mesh[:3, :3]) > 0:
-                    raise gltf.error(f"skins[{number}].inverseBindMatrices", "of bones not mirrored", node)
+                    raise gltf.error(where, "of bones not mirrored", node)
                 if not 1e-12 < np.linalg.det(joint_from_mesh) < 1e12:
-                    raise gltf.error(
-                        f"skins[{number}].inverseBindMatrices", "of bones that are neither flat nor vast", node
-                    )
+                    raise gltf.error(where, "of bones that are neither flat nor vast", node)
                 frames[order.index(node)] = np.linalg.inv(joint_from_mesh)
-        anchor = place["head"]
         # the mesh's own units against the world's: found by the distance of the hips to the head
-        hip = place["left_hip"]
-        if anchor not in frames or hip not in frames:
-            continue
-        mine = np.linalg.norm(frames[anchor][:3, 3] - frames[hip][:3, 3])
+        mine = np.linalg.norm(frames[head][:3, 3] - frames[hip][:3, 3])
         if not mine > 0:
             continue
-        unit = np.linalg.norm(at[anchor] - at[hip]) / mine
+        unit = np.linalg.norm(at[head] - at[hip]) / mine
         bound_R, bound_at = R.copy(), at.copy()
         for k, frame in frames.items():
             bound_R[k] = nearest_rotation(frame[:3, :3])

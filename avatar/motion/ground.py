@@ -11,6 +11,7 @@ stay jumps and stairs stay stairs. Where fewer than a tenth of the frames touch 
 climbs all the time) there is no ground to be seen, and the heights stay as they are in the file.
 """
 
+import contextlib
 from typing import NamedTuple
 
 import numpy as np
@@ -76,18 +77,15 @@ def _lowest_points(motion: Motion, hull: BodyHull) -> Float[Array, "frames"]:
     if count <= SAMPLED_FRAMES:
         runs = [(k, min(k + 64, count)) for k in range(0, count, 64)]
     else:
-        first = np.linspace(0, count - RUN, SAMPLED_FRAMES // RUN).astype(int)
-        runs = [(int(k), int(k) + RUN) for k in first]
-    read: list[tuple[Array, Array]] = []
-    for start, stop in runs:
-        try:
-            read.append(motion.block(start, stop))
-        except AssetError:
-            # a broken frame is an error when it is shown, not before
-            continue
-    if not read:
-        return np.zeros(0)
-    return lowest_points(hull, np.concatenate([pose for pose, _ in read]), np.concatenate([root for _, root in read]))
+        runs = [(k, k + RUN) for k in np.linspace(0, count - RUN, SAMPLED_FRAMES // RUN).astype(int).tolist()]
+    poses, roots = [np.zeros((0, 52, 3))], [np.zeros((0, 3))]
+    for run in runs:
+        # a broken frame is an error when it is shown, not before
+        with contextlib.suppress(AssetError):
+            pose, root = motion.block(*run)
+            poses.append(pose)
+            roots.append(root)
+    return lowest_points(hull, np.concatenate(poses), np.concatenate(roots))
 
 
 def _length(metres: float) -> str:

@@ -30,14 +30,12 @@ def with_hands(motion: Motion, choice: str, body: Body | None = None) -> Motion:
         return motion
     if choice != "mean":
         hands, name = relaxed_hands() if choice == "relaxed" else np.zeros((30, 3)), choice
-    elif body is None or body.hands is None:
-        found = "no model" if body is None else f"{body.name} without them"
-        raise AssetError(
-            "--hands mean: expected your SMPL+H model with hands_meanl and hands_meanr, given with --body, "
-            f"found {found}"
-        )
-    else:
+    elif body is not None and body.hands is not None:
         hands, name = body.hands.mean.reshape(30, 3), f"the mean of {body.name}"
+    else:
+        found = "no model" if body is None else f"{body.name} without them"
+        expected = "your SMPL+H model with hands_meanl and hands_meanr, given with --body"
+        raise AssetError(f"--hands mean: expected {expected}, found {found}")
 
     def change(axis_angle: Array, root: Array) -> tuple[Array, Array]:
         axis_angle = axis_angle.copy()

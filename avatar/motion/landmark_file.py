@@ -29,7 +29,7 @@ from avatar.face_names import weights_of
 from avatar.motion.landmark_pose import BODY_POINTS, HAND_POINTS, curl_sign
 from avatar.rotation import nearest_rotation
 from command.errors import AssetError
-from files.input_file import JsonObject, read_json
+from files.input_file import read_json
 
 WHAT = "landmarks of MediaPipe"
 # an hour at 60 a second
@@ -94,21 +94,15 @@ def read_landmarks(path: Path | str, notes: list[str]) -> tuple[list[Frame], Fil
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not 0 < len(frames) <= MOST_FRAMES:
         raise AssetError(f'{path}: expected {WHAT}: an object with "frames", 1 to {MOST_FRAMES} of them')
-    facts = FilmFacts(*(_positive(path, content, key) for key in ("fps", "image_width", "image_height")))
+    facts = [content.get(key) for key in ("fps", "image_width", "image_height")]
+    for key, value in zip(("fps", "image_width", "image_height"), facts, strict=True):
+        if value is not None and not (_number(value) and 0 < value < LARGEST):
+            raise AssetError(f"{path}: {key} should be a positive number, is {str(value)[:40]!r}")
     read = [_frame(f"{path}: frame {k}", frame, notes) for k, frame in enumerate(frames)]
     bodiless = all(f.pose is None and f.pose_world is None and not f.hands and not f.hands_world for f in read)
     if bodiless and all(f.shapes is None for f in read):
         raise AssetError(f"{path}: no landmarks of a body or a hand in {len(read)} frames")
-    return read, facts
-
-
-def _positive(path: Path, content: JsonObject, key: str) -> float | None:
-    value = content.get(key)
-    if value is None:
-        return None
-    if not (_number(value) and 0 < value < LARGEST):
-        raise AssetError(f"{path}: {key} should be a positive number, is {str(value)[:40]!r}")
-    return float(value)
+    return read, FilmFacts(*(None if value is None else float(value) for value in facts))
 
 
 def _number(value: object) -> TypeGuard[float]:
@@ -126,25 +120,27 @@ def _frame(place: str, content: object, notes: list[str]) -> Frame:
     if len(pose) > 1:
         best = int(np.argmax([_area(points) for points in pose]))
         notes.append(f"people: {len(pose)} in a frame, the largest is read")
-    out = Frame(
+    hands, in_metres = found["hand_landmarks"], found["hand_world_landmarks"]
+    shapes = [*in_metres, *hands[len(in_metres) :]]
+    sides = [_side(shape, _label(content.get("handedness"), k), notes) for k, shape in enumerate(shapes)]
+
+    def by_side(kind: str) -> dict[str, Float[Array, "21 4"]]:
+        """The first hand of each side; those of a field of its own side go before those of the list."""
+        first: dict[str, Array] = {}
+        own = [(side, points) for side in SIDES for points in found[f"{side}_hand_{kind}"]]
+        for side, points in [*own, *zip(sides, found[f"hand_{kind}"], strict=False)]:
+            first.setdefault(side, points)
+        return first
+
+    return Frame(
         pose=pose[best] if pose else None,
         pose_world=world[min(best, len(world) - 1)] if world else None,
-        hands={side: found[f"{side}_hand_landmarks"][0] for side in SIDES if found[f"{side}_hand_landmarks"]},
-        hands_world={
-            side: found[f"{side}_hand_world_landmarks"][0] for side in SIDES if found[f"{side}_hand_world_landmarks"]
-        },
+        hands=by_side("landmarks"),
+        hands_world=by_side("world_landmarks"),
         face=max(found["face_landmarks"], key=_area, default=None),
         shapes=_shapes(f"{place}: {SCORES}", content.get(SCORES)),
         head=_head(f"{place}: {MATRICES}", content.get(MATRICES)),
     )
-    hands, in_metres = found["hand_landmarks"], found["hand_world_landmarks"]
-    for k in range(max(len(hands), len(in_metres))):
-        shape = in_metres[k] if k < len(in_metres) else hands[k]
-        side = _side(shape, _label(content.get("handedness"), k), notes)
-        for one, lists in ((out.hands, hands), (out.hands_world, in_metres)):
-            if k < len(lists):
-                one.setdefault(side, lists[k])
-    return out
 
 
 def _first(value: object) -> list | None:
@@ -231,12 +227,10 @@ def _side(points: Float[Array, "21 4"], label: str, notes: list[str]) -> str:
     """
     bent = curl_sign(points[None, :, :3])
     shape = "right" if bent > 0 else "left"
-    if abs(bent) > CERTAIN:
-        if label and label != shape:
-            notes.append(
-                f"hands: one labelled {label} bends as a {shape} one, as mirrored pictures are labelled; {shape}"
-            )
-        return shape
-    if not label:
-        notes.append(f"hands: one without a label, taken for the {shape} one")
-    return label or shape
+    if abs(bent) <= CERTAIN:
+        if not label:
+            notes.append(f"hands: one without a label, taken for the {shape} one")
+        return label or shape
+    if label and label != shape:
+        notes.append(f"hands: one labelled {label} bends as a {shape} one, as mirrored pictures are labelled; {shape}")
+    return shape

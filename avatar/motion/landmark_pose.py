@@ -36,7 +36,7 @@ from avatar.rotation import (
     unit_or_zero,
 )
 from avatar.skeleton import JOINT_NUMBERS as J
-from avatar.skeleton import PARENTS
+from avatar.skeleton import LEFT_HAND, RIGHT_HAND, pose_of_rotations
 
 BODY_POINTS, HAND_POINTS = 33, 21
 # MediaPipe's numbers of the body's points: the left one, the right one
@@ -69,23 +69,19 @@ def pose_from_points(points: Points, ours: Float[Array, "52 3"]) -> Float[Array,
     Frames without a body are in T-pose, hands that are not there straight; limbs whose ends are not `seen` hang as in
     T-pose on what carries them.
     """
-    frames = len(points.body)
-    R = np.tile(np.eye(3), (frames, 52, 1, 1))
+    R = np.tile(np.eye(3), (len(points.body), 52, 1, 1))
     there = np.asarray(np.isfinite(points.body).all((1, 2)))
     if there.any():
         R[there] = _body(points.body[there], ours, points.seen)
-    for side, hand in (("left", points.left_hand), ("right", points.right_hand)):
-        wrist, elbow = J[f"{side}_wrist"], J[f"{side}_elbow"]
-        fingers = [J[f"{side}_{finger}{n}"] for finger in FINGERS for n in (1, 2, 3)]
-        R[:, [wrist, *fingers]] = R[:, elbow, None]
+    for side, hand, fingers in (("left", points.left_hand, LEFT_HAND), ("right", points.right_hand, RIGHT_HAND)):
+        R[:, J[f"{side}_wrist"]] = R[:, J[f"{side}_elbow"]]
+        R[:, fingers] = R[:, J[f"{side}_elbow"], None]
         held = np.isfinite(hand).all((1, 2))
         if bool(np.any(held)):
             with_hand = R[held]
             _hand(with_hand, hand[held], side, ours, carried=there[held])
             R[held] = with_hand
-    local = R.copy()
-    local[:, 1:] = np.swapaxes(R[:, PARENTS[1:]], -1, -2) @ R[:, 1:]
-    return axis_angle_from_matrix(local)
+    return pose_of_rotations(R)
 
 
 def curl_sign(hand: Float[Array, "frames 21 3"]) -> float:
@@ -105,7 +101,7 @@ def _body(P: Float[Array, "frames 33 3"], ours: Array, seen: Bool[Array, "33"]) 
     """World rotations of the 22 joints of the body; fingers stay as the identity."""
     at = {name: (P[:, left], P[:, right]) for name, (left, right) in PAIRS.items()}
     rest = {name: (ours[J[f"left_{name}"]], ours[J[f"right_{name}"]]) for name in ("hip", "shoulder")}
-    up, rest_up = _middle(at["shoulder"]) - _middle(at["hip"]), _middle(rest["shoulder"]) - _middle(rest["hip"])
+    up, rest_up = (np.mean(pair["shoulder"], axis=0) - np.mean(pair["hip"], axis=0) for pair in (at, rest))
 
     def trunk(name: str) -> Array:
         seen = left_up_frame(at[name][0] - at[name][1], up)
@@ -116,7 +112,11 @@ def _body(P: Float[Array, "frames 33 3"], ours: Array, seen: Bool[Array, "33"]) 
     R[:, 0], R[:, J["spine3"]] = bottom, top
     for name, part in (("spine1", 1 / 3), ("spine2", 2 / 3)):
         R[:, J[name]] = rotation_part_way(bottom, top, part)
-    R[:, J["head"]] = _face(P) if seen[list(FACE)].all() else top
+    R[:, J["head"]] = top
+    if seen[list(FACE)].all():
+        # the rotation that lays a face at rest best over the points
+        face = P[:, FACE] - P[:, FACE].mean(1, keepdims=True)
+        R[:, J["head"]] = nearest_rotation(np.swapaxes(face, -1, -2) @ (FACE_AT_REST - FACE_AT_REST.mean(0)))
     R[:, J["neck"]] = rotation_part_way(top, R[:, J["head"]], 0.5)
     for n, side in enumerate(("left", "right")):
         R[:, J[f"{side}_collar"]] = top
@@ -126,8 +126,7 @@ def _body(P: Float[Array, "frames 33 3"], ours: Array, seen: Bool[Array, "33"]) 
             ways = [at[b][n] - at[a][n] for a, b in zip(chain, chain[1:], strict=False)]
             have = [bool(seen[PAIRS[name][n]]) for name in chain]
             first, second = _limb(base, (upper, lower), ways, hinge(names[0]), have=have, one_sided=chain[0] == "hip")
-            R[:, J[names[0]]], R[:, J[names[1]]] = first, second
-            R[:, J[names[2]]] = second
+            R[:, J[names[0]]], R[:, [J[name] for name in names[1:]]] = first, second[:, None]
         ankle, foot = J[f"{side}_ankle"], J[f"{side}_foot"]
         if seen[[PAIRS["heel"][n], PAIRS["toe"][n]]].all():
             way = at["toe"][n] - at["heel"][n]
@@ -138,14 +137,9 @@ def _body(P: Float[Array, "frames 33 3"], ours: Array, seen: Bool[Array, "33"]) 
 
 
 def _limb(
-    base: Float[Array, "frames 3 3"],
-    bones: tuple[Float[Array, "3"], Float[Array, "3"]],
-    ways: list[Float[Array, "frames 3"]],
-    axis: Float[Array, "3"],
-    *,
-    have: list[bool],
-    one_sided: bool,
-) -> tuple[Float[Array, "frames 3 3"], Float[Array, "frames 3 3"]]:
+    base: Float[Array, "frames 3 3"], bones: tuple[Float[Array, "3"], Float[Array, "3"]],
+    ways: list[Float[Array, "frames 3"]], axis: Float[Array, "3"], *, have: list[bool], one_sided: bool,
+) -> tuple[Float[Array, "frames 3 3"], Float[Array, "frames 3 3"]]:  # fmt: skip
     """World rotations of the upper and the lower bone of an arm or a leg.
 
     `axis` is the limb's hinge. `one_sided`: what bends against it is noise (knees), rather than a limb that is turned
@@ -171,13 +165,6 @@ def _limb(
     return first, rotation_between(first @ unit_or_zero(bones[1]), lower) @ first
 
 
-def _face(P: Float[Array, "frames 33 3"]) -> Float[Array, "frames 3 3"]:
-    """The rotation that lays a face at rest best over the points."""
-    seen = P[:, FACE] - P[:, FACE].mean(1, keepdims=True)
-    rest = FACE_AT_REST - FACE_AT_REST.mean(0)
-    return nearest_rotation(np.swapaxes(seen, -1, -2) @ rest)
-
-
 def _hand(
     R: Array, hand: Float[Array, "frames 21 3"], side: str, ours: Array, *, carried: Bool[Array, "frames"]
 ) -> None:
@@ -193,9 +180,7 @@ def _hand(
     relative = np.swapaxes(R[:, elbow], -1, -2) @ turned
     twist = twist_about(relative, bone) * carried
     R[:, elbow] = R[:, elbow] @ matrix_from_axis_angle(ELBOW_SHARE * twist[:, None] * bone)
-    angles = np.zeros((len(R), 52, 3))
-    angles[:, wrist] = _angles(np.swapaxes(R[:, elbow], -1, -2) @ turned, wrist)
-    local = matrix_from_axis_angle(axis_angle_from_joint_angles(_boxed(angles)))[:, wrist]
+    local = _limited(np.swapaxes(R[:, elbow], -1, -2) @ turned, wrist)
     # the fingers are seen from the palm as it was, whatever the wrist's limits make of it
     R[:, wrist] = np.where(carried[:, None, None], R[:, elbow] @ local, R[:, elbow])
     for finger in FINGERS:
@@ -206,26 +191,19 @@ def _hand(
             way = np.swapaxes(base, -1, -2) @ unit_or_zero(hand[:, start + n] - hand[:, start + n - 1])[..., None]
             begin = J[f"{side}_{finger}{min(n, 2)}"]
             rest = np.broadcast_to(unit_or_zero(ours[begin + 1] - ours[begin]), (len(R), 3))
-            angles = np.zeros((len(R), 52, 3))
-            angles[:, joint] = _angles(rotation_between(rest, way[..., 0]), joint)
-            angles[:, joint, 2] = 0
-            local = matrix_from_axis_angle(axis_angle_from_joint_angles(_boxed(angles)))[:, joint]
+            local = _limited(rotation_between(rest, way[..., 0]), joint, twist=0.0)
             base, mine = base @ local, mine @ local
             R[:, joint] = mine
 
 
-def _angles(R: Float[Array, "frames 3 3"], joint: int) -> Float[Array, "frames 3"]:
-    """Flexion, abduction and twist of one joint."""
-    pose = np.zeros((len(R), 52, 3))
+def _limited(R: Float[Array, "frames 3 3"], joint: int, *, twist: float = 1.0) -> Float[Array, "frames 3 3"]:
+    """Rotations of one joint inside its limits, and so much of its twist.
+
+    Each angle is cut by itself first, so that a finger seen bent aside stays bent forward.
+    """
+    pose, table = np.zeros((len(R), 52, 3)), limits()
     pose[:, joint] = axis_angle_from_matrix(R)
-    return joint_angles(pose)[:, joint]
-
-
-def _boxed(angles: Float[Array, "frames 52 3"]) -> Float[Array, "frames 52 3"]:
-    """Angles inside the limits: each cut by itself first, so that a finger seen bent aside stays bent forward."""
-    table = limits()
-    return clamped_angles(np.clip(angles, table.low, table.high))
-
-
-def _middle(pair: tuple[Array, Array]) -> Array:
-    return (pair[0] + pair[1]) / 2
+    angles = joint_angles(pose)
+    angles[:, joint, 2] *= twist
+    inside = clamped_angles(np.clip(angles, table.low, table.high))
+    return matrix_from_axis_angle(axis_angle_from_joint_angles(inside))[:, joint]

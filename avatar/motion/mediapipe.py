@@ -1,12 +1,11 @@
 """MediaPipe's landmarks as a motion (avatar/motion/landmark_file.py has the files).
 
 World landmarks move the body. Their y goes down and z away from the camera: a half turn about x makes our axes of it.
-Where the person is comes from the landmarks in the picture, where the file tells its size: sideways and up, never in
+Where the person is comes from the landmarks in the picture, where the file has its size: sideways and up, never in
 depth; else the lower foot stays on the ground. Gaps are filled, and noted. Scores of a face move the face; without a
 body its matrix turns the head.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from avatar.gaze import NECK_AND_HEAD, gaze_of, pose_of_head
-from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, checked_rate
+from avatar.motion.clip import Clip, Motion, RestSkeleton, builtin_skeleton, checked_rate
 from avatar.motion.landmark_file import WHAT, FilmFacts, Frame, is_mediapipe, read_landmarks
 from avatar.motion.landmark_pose import BODY_POINTS, HAND_POINTS, PAIRS, Points, pose_from_points
 from avatar.motion.smplh_rig import leg_length
@@ -51,36 +50,32 @@ def read_mediapipe(path: Path | str, skeleton: RestSkeleton | None = None) -> Mo
     skeleton = builtin_skeleton() if skeleton is None else skeleton
     ours = skeleton.joints.astype(np.float64)
     rate = checked_rate(f"{path}: fps", facts.fps) if facts.fps is not None else ASSUMED_RATE
-    faces = _faces(frames, notes)
-    if not faces and not any(frame.pose_world is not None or frame.hands_world for frame in frames):
+    weights = _faces(frames, notes)
+    if weights is None and not any(frame.pose_world is not None or frame.hands_world for frame in frames):
         raise AssetError(f"{path}: no world landmarks of a body or a hand; those in the picture are no motion")
     body, seen = _bodies(path, frames, notes)
-    left, right = _hand_points(path, frames, notes)
+    left, right = (_hand(path, frames, side, notes) for side in ("left", "right"))
     pose = pose_from_points(Points(body, left, right, seen), ours)
-    if faces and not np.isfinite(body).any():
+    if weights is not None and not np.isfinite(body).any():
         pose = _heads(frames, pose)
     root = _root(body, _hips(frames, facts), ours, pose, notes)
     if len(frames) > 1 and facts.fps is None:
         notes.append(f"no frame rate in the file: {ASSUMED_RATE:g} frames per second assumed")
 
-    def block(start: int, stop: int) -> tuple[Array, Array]:
-        return pose[start:stop], root[start:stop]
-
-    height = skeleton.pelvis_height
-    return Motion(path.name, len(frames), rate, tuple(dict.fromkeys(notes)), block, height, faces=faces)
+    gaze = None if weights is None else gaze_of(weights)
+    clip = Clip(pose, root, rate, tuple(dict.fromkeys(notes)), skeleton.pelvis_height, weights, gaze)
+    return clip.motion(path.name)
 
 
-def _faces(frames: list[Frame], notes: list[str]) -> Callable[[int, int], tuple[Array, Array]] | None:
-    """Weights and gaze of frames, as `Motion.faces`; frames without a face are filled from those around them."""
+def _faces(frames: list[Frame], notes: list[str]) -> Float[Array, "frames 52"] | None:
+    """Weights of frames; those without a face are filled from those around them. None: there is no face."""
     have = [k for k, frame in enumerate(frames) if frame.shapes is not None]
     if not have:
         return None
     known, every = np.array([frames[k].shapes for k in have]), np.arange(len(frames))
-    weights = np.stack([np.interp(every, have, column) for column in known.T], 1)
     if len(have) < len(frames):
         notes.append(f"face: not found in {len(frames) - len(have)} of {plural(len(frames), 'frame')}, filled")
-    gaze = gaze_of(weights)
-    return lambda start, stop: (weights[start:stop], gaze[start:stop])
+    return np.stack([np.interp(every, have, column) for column in known.T], 1)
 
 
 def _heads(frames: list[Frame], pose: Float[Array, "frames 52 3"]) -> Float[Array, "frames 52 3"]:
@@ -106,8 +101,7 @@ def _bodies(path: Path, frames: list[Frame], notes: list[str]) -> tuple[Float[Ar
             visible.append(f.pose_world[:, 3])
             _check_body(path, k, body[k])
     seen = np.ones(BODY_POINTS, bool)
-    have = np.isfinite(body[:, 0, 0])
-    if not have.any():
+    if not visible:
         notes.append("body: not in the file, in T-pose")
         return body, seen
     known = [v for v in visible if np.isfinite(v).all()]
@@ -120,7 +114,7 @@ def _bodies(path: Path, frames: list[Frame], notes: list[str]) -> tuple[Float[Ar
         hidden = [name for name, pair in PAIRS.items() if not seen[list(pair)].all()]
         if hidden:
             notes.append(f"body: hardly ever visible, so left as in T-pose: {', '.join(hidden)}")
-    missing = int((~have).sum())
+    missing = count - len(visible)
     if missing:
         notes.append(f"body: not found in {missing} of {plural(count, 'frame')}, filled from the frames around them")
     notes.append("body: 33 landmarks in metres; turns about bones follow the bends of knees and elbows")
@@ -141,47 +135,34 @@ def _hips(frames: list[Frame], facts: FilmFacts) -> Float[Array, "frames 3"]:
 
 def _check_body(path: Path, frame: int, body: Float[Array, "33 3"]) -> None:
     """Refuse a body whose points fall together."""
-    middle = {name: body[list(pair)].mean(0) for name, pair in PAIRS.items()}
-    trunk = np.linalg.norm(middle["shoulder"] - middle["hip"])
-    lengths = {"hips and shoulders": trunk}
-    lengths |= {
-        f"both {name}s": np.linalg.norm(body[PAIRS[name][0]] - body[PAIRS[name][1]]) for name in ("hip", "shoulder")
-    }
+    at = {name: body[list(pair)] for name, pair in PAIRS.items()}
+    ways = {"hips and shoulders": at["shoulder"].mean(0) - at["hip"].mean(0)}
+    ways |= {f"both {name}s": at[name][1] - at[name][0] for name in ("hip", "shoulder")}
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"), ("heel", "toe")):
-        for n, side in enumerate(("left", "right")):
-            lengths[f"{side} {a} and {b}"] = np.linalg.norm(body[PAIRS[b][n]] - body[PAIRS[a][n]])
-    for name, length in lengths.items():
-        if not length > SHORTEST * max(trunk, 1e-6):
+        ways |= {f"{side} {a} and {b}": at[b][n] - at[a][n] for n, side in enumerate(("left", "right"))}
+    shortest = SHORTEST * max(float(np.linalg.norm(ways["hips and shoulders"])), 1e-6)
+    for name, way in ways.items():
+        if not np.linalg.norm(way) > shortest:
             raise AssetError(f"{path}: frame {frame}: {name} are at one place")
 
 
-def _hand_points(
-    path: Path, frames: list[Frame], notes: list[str]
-) -> tuple[Float[Array, "frames 21 3"], Float[Array, "frames 21 3"]]:
-    """Left and right hand in our axes; short gaps are filled, elsewhere NaN."""
-    out = []
-    for side in ("left", "right"):
-        hand = np.full((len(frames), HAND_POINTS, 3), np.nan)
-        for k, f in enumerate(frames):
-            if side in f.hands_world:
-                hand[k] = f.hands_world[side][:, :3] * FLIP
-                _check_hand(path, k, side, hand[k])
-        found = np.isfinite(hand[:, 0, 0])
-        hand = _filled(hand, LONGEST_GAP)
-        missing = int((~np.isfinite(hand[:, 0, 0])).sum())
-        if not found.any():
-            notes.append(f"hands: no {side} hand in the file, flat")
-        elif missing:
-            notes.append(f"hands: no {side} hand in {missing} of {plural(len(frames), 'frame')}, flat there")
-        out.append(hand)
-    return out[0], out[1]
-
-
-def _check_hand(path: Path, frame: int, side: str, hand: Float[Array, "21 3"]) -> None:
-    along, across = hand[9] - hand[0], hand[5] - hand[17]
-    area = np.linalg.norm(np.cross(along, across))
-    if not area > 1e-3 * max(np.linalg.norm(along), np.linalg.norm(across), 1e-9) ** 2:
-        raise AssetError(f"{path}: frame {frame}: the {side} hand's palm has no area")
+def _hand(path: Path, frames: list[Frame], side: str, notes: list[str]) -> Float[Array, "frames 21 3"]:
+    """One hand in our axes; short gaps are filled, elsewhere NaN."""
+    hand = np.full((len(frames), HAND_POINTS, 3), np.nan)
+    for k, f in enumerate(frames):
+        if side in f.hands_world:
+            hand[k] = f.hands_world[side][:, :3] * FLIP
+            along, across = hand[k, 9] - hand[k, 0], hand[k, 5] - hand[k, 17]
+            area = np.linalg.norm(np.cross(along, across))
+            if not area > 1e-3 * max(np.linalg.norm(along), np.linalg.norm(across), 1e-9) ** 2:
+                raise AssetError(f"{path}: frame {k}: the {side} hand's palm has no area")
+    hand = _filled(hand, LONGEST_GAP)
+    missing = int((~np.isfinite(hand[:, 0, 0])).sum())
+    if missing == len(frames):
+        notes.append(f"hands: no {side} hand in the file, flat")
+    elif missing:
+        notes.append(f"hands: no {side} hand in {missing} of {plural(len(frames), 'frame')}, flat there")
+    return hand
 
 
 def _filled(points: Float[Array, "frames n 3"], longest: int) -> Float[Array, "frames n 3"]:
@@ -202,11 +183,8 @@ def _filled(points: Float[Array, "frames n 3"], longest: int) -> Float[Array, "f
 
 def _leg(body: Float[Array, "frames 33 3"]) -> Float[Array, "frames"]:
     """Length of thigh and shin, mean of both sides."""
-    total = np.zeros(len(body))
-    for a, b in (("hip", "knee"), ("knee", "ankle")):
-        for n in range(2):
-            total += np.linalg.norm(body[:, PAIRS[b][n]] - body[:, PAIRS[a][n]], axis=-1) / 2
-    return total
+    chain = body[:, [PAIRS[name] for name in ("hip", "knee", "ankle")]]
+    return np.linalg.norm(np.diff(chain, axis=1), axis=-1).sum((1, 2)) / 2
 
 
 def _root(

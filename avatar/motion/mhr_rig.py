@@ -27,7 +27,7 @@ from numpy import ndarray as Array
 
 from avatar.motion.fingers import FINGERS, MIRROR, finger_axes
 from avatar.motion.rest_pose import Alignment, hinge
-from avatar.motion.rig import AnimatedRig, runs
+from avatar.motion.rig import AnimatedRig, PlacedJoints, runs
 from avatar.rotation import (
     left_up_frame,
     matrix_from_axis_angle,
@@ -101,7 +101,7 @@ class MhrRig(AnimatedRig):
     names: tuple[str, ...] = NAMES
     parents: tuple[int, ...] = tuple(-1 if n == "pelvis" else NAMES.index(_parent(n)) for n in NAMES)
     # (start, stop) -> rotations and places of MHR's joints in our world, metres
-    read: Callable[[int, int], tuple[Float[Array, "frames 127 3 3"], Float[Array, "frames 127 3"]]] = field(repr=False)
+    read: Callable[[int, int], PlacedJoints] = field(repr=False)
     joints: Float[Array, "52 3"]  # the skeleton that is to move
 
     @cached_property
@@ -114,9 +114,7 @@ class MhrRig(AnimatedRig):
         """The places of the first frame: only lengths are taken from them."""
         return self.transforms(np.zeros(1, int))[1][0]
 
-    def transforms(
-        self, frames: Int[Array, "frames"]
-    ) -> tuple[Float[Array, "frames joints 3 3"], Float[Array, "frames joints 3"]]:
+    def transforms(self, frames: Int[Array, "frames"]) -> PlacedJoints:
         """Axes of each joint, every limb's and finger's bone laid exactly along the joints' places."""
         R, at = (np.concatenate(parts) for parts in zip(*(self.read(*run) for run in runs(frames)), strict=True))
         G = R[:, [turn for turn, _ in NUMBERS.values()]]
@@ -150,9 +148,9 @@ class MhrRig(AnimatedRig):
 
 def mhr_alignment(ours: Float[Array, "52 3"]) -> Alignment:
     """The constant turns that lay the bones of a skeleton along MHR's axes (A_k of avatar/motion/retarget.py)."""
+    tilts = {f"spine{n}": 0.0 for n in range(4)} | {"neck": NECK_TILT, "head": HEAD_TILT}
     column = {NAMES.index("pelvis"): np.eye(3)}
-    column |= {NAMES.index(f"spine{n}"): _UPRIGHT.T for n in range(4)}
-    for name, tilt in (("neck", NECK_TILT), ("head", HEAD_TILT)):
+    for name, tilt in tilts.items():
         column[NAMES.index(name)] = (_UPRIGHT @ matrix_from_axis_angle(np.array([0, 0, tilt]))).T
     A: dict[str, Array] = {}
     curl = finger_axes()[0]
@@ -162,9 +160,9 @@ def mhr_alignment(ours: Float[Array, "52 3"]) -> Alignment:
             A[f"{side}_{name}"] = _hinged(bone, hinge(f"{side}_{name}"), side)
         for n, finger in enumerate(FINGERS):
             for k in range(3):
-                a, b = (f"{side}_{finger}{min(k, 1) + 1}", f"{side}_{finger}{min(k, 1) + 2}")
+                first = J[f"{side}_{finger}{min(k, 1) + 1}"]
                 axis = curl[n, k] * (MIRROR if side == "right" else 1)
-                A[f"{side}_{finger}{k + 1}"] = _hinged(ours[J[b]] - ours[J[a]], axis, side)
+                A[f"{side}_{finger}{k + 1}"] = _hinged(ours[first + 1] - ours[first], axis, side)
         A[f"{side}_wrist"] = rest_palm(ours, side).T
         for name, rest in (("collar", _COLLAR), ("ankle", _ANKLE), ("foot", _TOES)):
             A[f"{side}_{name}"] = (rest if side == "left" else np.diag(MIRROR) @ rest).T

@@ -42,16 +42,12 @@ def read_pickled_motion(path: Path | str, *, body: Body | None = None) -> Motion
 def _array(path: Path, fields: dict[str, Value], name: str) -> Array:
     """A field as an array of numbers or text; lists of equally long lists count."""
     value = fields[name]
-    if isinstance(value, (str, bytes)):
-        return np.array(value)
-    if not isinstance(value, Array):
-        try:
-            if _numbers_within(value, {}) > MAX_NUMBERS:
-                raise AssetError(f"{path}: {name} should be an array, is lists of more than {MAX_NUMBERS} numbers")
-            value = np.array(value)
-        except (ValueError, OverflowError):
-            raise AssetError(f"{path}: {name} should be numbers, is no array or has lists of unequal lengths") from None
-    return value
+    try:
+        if not isinstance(value, (str, bytes, Array)) and _numbers_within(value, {}) > MAX_NUMBERS:
+            raise AssetError(f"{path}: {name} should be an array, is lists of more than {MAX_NUMBERS} numbers")
+        return np.asarray(value)
+    except (ValueError, OverflowError):
+        raise AssetError(f"{path}: {name} should be numbers, is no array or has lists of unequal lengths") from None
 
 
 def _numbers_within(value: Value, counted: dict[int, int]) -> int:

@@ -35,24 +35,17 @@ NEEDS_MODEL = (
     "hand PCA coefficients need the components and the mean of the MANO hands: give your SMPL+H model that has "
     "hands_componentsl/r and hands_meanl/r with --body, or export 156 columns"
 )
-REFUSED_COLUMNS = {
-    63: "63 is a body without its root: expected `root_orient` and `pose_body`",
-    69: "69 is 23 joints without a root orientation, or a body with a part left out",
-    75: "75 may be SMPL-X without hands or a body with hand PCA coefficients and without its root",
-    78: f"78 is a body with 2 x 6 hand PCA coefficients (EasyMocap): {NEEDS_MODEL}",
-    87: f"87 is EasyMocap's SMPL-X vector with 2 x 6 hand PCA coefficients: {NEEDS_MODEL}",
-    153: "153 is 51 joints: the root orientation is missing",
-}
 
 
 class PoseLayout(NamedTuple):
-    columns: int
     # the first three numbers are the root
     rooted: bool
     hands: slice | None  # both hands, left first
     # coefficients a hand; 0: axis-angle
     components: int
     note: str
+    # axis-angle that lacks the mean
+    offsets: bool = False
 
 
 def pose_layout(columns: int, *, root_apart: bool = False) -> PoseLayout | None:
@@ -61,72 +54,60 @@ def pose_layout(columns: int, *, root_apart: bool = False) -> PoseLayout | None:
     full = columns if rooted else columns + 3
     start = 66 if rooted else 63
     if full in (66, 72):
-        extra = "; SMPL's two hand joints left out" if full == 72 else ""
-        return PoseLayout(columns, rooted, None, 0, f"hands: none in the file ({columns} columns), flat{extra}")
+        note = f"hands: none in the file ({columns} columns), flat"
+        return PoseLayout(rooted, None, 0, note + "; SMPL's two hand joints left out" * (full == 72))
     if full in (78, 87):
-        face = ", jaw and eyes left out" if full == 87 else ""
-        note = f"hands: 2 x 6 PCA coefficients ({columns} columns), expanded, mean added{face}"
-        return PoseLayout(columns, rooted, slice(start, start + 12), 6, note)
+        note = f"hands: 2 x 6 PCA coefficients ({columns} columns), expanded, mean added"
+        return PoseLayout(rooted, slice(start, start + 12), 6, note + ", jaw and eyes left out" * (full == 87))
     if full == 156:
-        return PoseLayout(columns, rooted, slice(start, start + 90), 0, FULL_HANDS)
+        return PoseLayout(rooted, slice(start, start + 90), 0, FULL_HANDS)
     if full == 165:
         note = f"{FULL_HANDS}; {columns} columns are SMPL-X: jaw and eyes left out"
-        return PoseLayout(columns, rooted, slice(start + 9, start + 99), 0, note)
+        return PoseLayout(rooted, slice(start + 9, start + 99), 0, note)
     return None
 
 
 def readable(layout: PoseLayout, body: Body | None) -> bool:
     """Whether the body has what the layout's hands need."""
-    return layout.components == 0 or (
-        body is not None and body.hands is not None and body.hands.components.shape[1] >= layout.components
-    )
+    if not layout.components and not layout.offsets:
+        return True
+    return body is not None and body.hands is not None and body.hands.components.shape[1] >= layout.components
 
 
 def expanded(
     values: Float[Array, "frames columns"], layout: PoseLayout, body: Body | None = None
 ) -> Float[Array, "frames 52 3"]:
-    """Axis-angle vectors of rows in a layout; coefficients are expanded with the body's hands."""
+    """Axis-angle vectors of rows in a layout that is `readable`.
+
+    Hands from PCA coefficients c are c @ components[:n] + mean, each side's (Romero et al. 2017).
+    """
     pose = np.zeros((len(values), 52, 3))
     first = 0 if layout.rooted else 1
     pose[:, first:22] = values[:, : 3 * (22 - first)].reshape(len(values), 22 - first, 3)
     if layout.hands is not None:
-        hands = values[:, layout.hands]
-        if layout.components:
-            n = layout.components
-            hands = np.concatenate([hand_from_coefficients(hands[:, k * n : (k + 1) * n], k, body) for k in (0, 1)], 1)
-        pose[:, 22:] = hands.reshape(len(values), 30, 3)
+        hands, n = np.split(values[:, layout.hands], 2, axis=1), layout.components
+        if n or layout.offsets:
+            assert body is not None and body.hands is not None
+            if n:
+                hands = [hand @ components[:n] for hand, components in zip(hands, body.hands.components, strict=True)]
+            hands = [hand + mean for hand, mean in zip(hands, body.hands.mean, strict=True)]
+        pose[:, 22:] = np.concatenate(hands, 1).reshape(len(values), 30, 3)
     return pose
 
 
-def hand_from_coefficients(
-    coefficients: Float[Array, "frames n"], side: int, body: Body | None
-) -> Float[Array, "frames 45"]:
-    """One hand (0 left, 1 right) from PCA coefficients: c @ components[:n] + mean (Romero et al. 2017).
-
-    Raises:
-        ValueError: no model with hands is given, or it has fewer components.
-    """
-    if body is None or body.hands is None:
-        raise ValueError(NEEDS_MODEL)
-    count = coefficients.shape[1]
-    if count > body.hands.components.shape[1]:
-        raise ValueError(f"{count} hand coefficients, {body.name} has {body.hands.components.shape[1]}")
-    return coefficients @ body.hands.components[side, :count] + body.hands.mean[side]
-
-
-def check_numbers(path: Path, name: str, values: Float[Array, "frames joints 3"], start: int) -> None:
+def check_numbers(path: Path, name: str, values: Float[Array, "frames *row"], start: int, most: float = LARGEST):
     """Refuse frames with a number that is not finite, or so large that its square may not be.
 
     Raises:
-        AssetError: names file, field, frame (counted from `start`) and joint.
+        AssetError: names file, field, frame (counted from `start`) and, of vectors or matrices a joint, the joint.
     """
     with np.errstate(invalid="ignore"):
-        good = np.abs(values) < LARGEST
+        good = np.abs(values) < most
     if not good.all():
-        frame, joint, axis = (int(i) for i in np.argwhere(~good)[0])
-        value = values[frame, joint, axis]
-        found = f"{value:.3g}, expected below {LARGEST:g}," if np.isfinite(value) else "not finite"
-        raise AssetError(f"{path}: {name} is {found} at frame {start + frame}, joint {JOINTS[joint]}")
+        at = tuple(np.argwhere(~good)[0].tolist())
+        found = f"{values[at]:.3g}, expected below {most:g}," if np.isfinite(values[at]) else "not finite"
+        joint = f", joint {JOINTS[at[1]] if values.shape[1] == len(JOINTS) else at[1]}" if values.ndim > 2 else ""
+        raise AssetError(f"{path}: {name} is {found} at frame {start + at[0]}{joint}")
 
 
 H = np.sqrt(0.5)
@@ -151,8 +132,6 @@ def up_axis(upright: Float[Array, "3"], notes: list[str]) -> str:
 
 # J0 of SMPL(+H) bodies of mean shape, good to about 2 cm
 USUAL_PELVIS = np.array([-0.002, -0.233, 0.028])
-# coefficients of people lie within 5
-LARGEST_BETA = 1e3
 
 
 def given_pelvis(
@@ -171,7 +150,6 @@ def given_pelvis(
 
 def usual_pelvis(notes: list[str], *, what: str = "trans +") -> Float[Array, "3"]:
     """The usual J0, for a file without `--body`."""
-    notes.append(
-        f"pelvis: {what} {tuple(USUAL_PELVIS.tolist())}, the usual J0 of SMPL+H (2 cm; --body gives it exactly)"
-    )
+    place = tuple(USUAL_PELVIS.tolist())
+    notes.append(f"pelvis: {what} {place}, the usual J0 of SMPL+H (2 cm; --body gives it exactly)")
     return USUAL_PELVIS

@@ -74,24 +74,24 @@ def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestS
     path = Path(source)
     if not path.exists():
         raise AssetError(f"{path}: no such file; expected {MOTION_FILES}, or one of {', '.join(BUILTIN_MOTIONS)}")
-    suffix = _folder_suffix(path) if path.is_dir() else path.suffix.lower()
+    suffix = path.suffix.lower()
+    if path.is_dir():
+        suffix = "*.npz" if _names(path, ".npz") else "*.json"
     for reader in READERS:
         if suffix in reader.suffixes:
             module = import_module(f"avatar.motion.{reader.module}")
             if suffix[0] == "*" or not reader.recognised or getattr(module, reader.recognised)(path):
-                return getattr(module, reader.read)(
-                    path, **{reader.takes: body if reader.takes == "body" else skeleton}
-                )
+                given = {reader.takes: body if reader.takes == "body" else skeleton}
+                return getattr(module, reader.read)(path, **given)
     raise AssetError(f"{path}: expected {MOTION_FILES}, found '{path.suffix}'")
 
 
-def _folder_suffix(path: Path) -> str:
-    """What the files of a folder of frames are: "*.npz" or "*.json"."""
+def _names(folder: Path, ending: str) -> list[str]:
+    """The files of a folder with this ending, hidden ones left out."""
     try:
-        names = [name.lower() for name in os.listdir(path) if not name.startswith(".")]
+        return [name for name in os.listdir(folder) if name.lower().endswith(ending) and not name.startswith(".")]
     except OSError as error:
-        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
-    return "*.npz" if any(name.endswith(".npz") for name in names) else "*.json"
+        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
 
 
 def frame_files(folder: Path, ending: str, what: str) -> list[Path]:
@@ -100,10 +100,7 @@ def frame_files(folder: Path, ending: str, what: str) -> list[Path]:
     Raises:
         AssetError: the folder cannot be read, or has none.
     """
-    try:
-        names = [name for name in os.listdir(folder) if name.lower().endswith(ending) and not name.startswith(".")]
-    except OSError as error:
-        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
+    names = _names(folder, ending)
     if not names:
         raise AssetError(f"{folder}: expected {what} ({ending}), found none")
     return [folder / name for name in sorted(names, key=name_order)]

@@ -41,8 +41,7 @@ class RestBones:
     """Bones at rest by the names of our joints: the rig's and the avatar's."""
 
     def __init__(self, rig: AnimatedRig, joints: JointMap, ours: Float[Array, "52 3"]):
-        self.joints, self.rest, self._ours = joints, rig.rest_positions, ours
-        self._ends = dict(rig.ends)
+        self.joints, self.rest, self._ours, self._ends = joints, rig.rest_positions, ours, dict(rig.ends)
 
     def rig_bone(self, a: str, b: str) -> Float[Array, "3"]:
         """From joint a to joint b at rest, in the rig's axes."""
@@ -54,9 +53,8 @@ class RestBones:
 
     def toe(self, side: str) -> Float[Array, "3"]:
         """From the ankle to the toes of the rig, or to the end of its foot; 0 where it has neither."""
-        ankle, foot = f"{side}_ankle", f"{side}_foot"
-        places = self.joints.places
-        if foot in places and places[foot] != places[ankle]:
+        ankle, foot, places = f"{side}_ankle", f"{side}_foot", self.joints.places
+        if places.get(foot, places[ankle]) != places[ankle]:
             return self.rig_bone(ankle, foot)
         return np.array(self._ends.get(places[ankle], (0.0, 0.0, 0.0)))
 
@@ -104,11 +102,9 @@ def rest_alignment(
 
         collar, shoulder, elbow = (f"{side}_{n}" for n in ("collar", "shoulder", "elbow"))
         A[collar] = root
-        if collar in places:
-            mine, bone = root @ bones.ours(collar, shoulder), bones.rig_bone(collar, shoulder)
-            # it rests raised, not sideways
-            if np.linalg.norm(bone) > 0 and cosine(mine, bone) < 0.5:
-                A[collar] = bones.aligned(root, collar, shoulder)
+        # it rests raised, not sideways
+        if collar in places and cosine(root @ bones.ours(collar, shoulder), bones.rig_bone(collar, shoulder)) < 0.5:
+            A[collar] = bones.aligned(root, collar, shoulder)
         A[shoulder] = bones.aligned(root, shoulder, elbow)
         A |= below_elbow(bones, side, A[shoulder])
     for name in ("left_hip", "left_shoulder"):

@@ -23,7 +23,7 @@ from avatar.motion.rig import AnimatedRig, JointMap, find_joints
 from avatar.motion.smplh_rig import leg_length
 from avatar.rotation import axis_angle_from_matrix, matrix_from_quaternion, rotation_part_way
 from avatar.skeleton import JOINT_NUMBERS as J
-from avatar.skeleton import JOINTS, PARENTS
+from avatar.skeleton import JOINTS, PARENTS, pose_of_rotations
 from command.errors import AssetError
 
 # looked at for up axis, rest pose and soles
@@ -31,13 +31,9 @@ SAMPLED_FRAMES = 200
 
 
 def retarget(
-    rig: AnimatedRig,
-    skeleton: RestSkeleton | None = None,
-    *,
-    up_known: bool = False,
-    assumed: tuple[str, ...] = (),
+    rig: AnimatedRig, skeleton: RestSkeleton | None = None, *, up_known: bool = False, assumed: tuple[str, ...] = (),
     alignment: Alignment | None = None,
-) -> Motion:
+) -> Motion:  # fmt: skip
     """The motion on our skeleton, with the bones of `skeleton` (the built-in man's where none is given).
 
     `up_known` says that the file's world is y-up by its format; `assumed` are the reader's own notes, put first.
@@ -64,7 +60,12 @@ def retarget(
     if not (at[0, hips[0]] != at[0, hips[1]]).any() or not upright.any():
         raise AssetError(f"{rig.path}: hips or hips and head rest at the same place")
     W = matrix_from_quaternion(np.array(TURNS["+y" if up_known else up_axis(upright, notes)])).round()
-    scale = _scale(rig, joints.places, ours, notes)
+    rig_leg, our_leg = leg_length(rig.rest_positions, joints.places), leg_length(ours, J)
+    if not rig_leg > 0:
+        raise AssetError(f"{rig.path}: the legs have no length")
+    # metres of the avatar in one unit of the file
+    scale = our_leg / rig_leg
+    notes.append(f"scale: leg {rig_leg:.4g} units -> {our_leg:.3f} m, root scaled by {scale:.5g}")
     if alignment is None:
         if rests_standing(rig, joints):
             alignment = _flatter(joints, G, W, *rest_alignment(rig, joints, ours, notes), notes)
@@ -77,10 +78,7 @@ def retarget(
     def block(start: int, stop: int) -> tuple[Array, Array]:
         G, at = rig.transforms(np.arange(start, stop))
         R = W @ _rotations(joints, alignment, G)
-        local = R.copy()
-        local[:, 1:] = np.swapaxes(R[:, PARENTS[1:]], -1, -2) @ R[:, 1:]
-        root = scale * at[:, hips].mean(1) @ W.T - R[:, 0] @ offset
-        return axis_angle_from_matrix(local), root
+        return pose_of_rotations(R), scale * at[:, hips].mean(1) @ W.T - R[:, 0] @ offset
 
     return Motion(rig.path.name, rig.frames, rig.rate, tuple(notes), block, skeleton.pelvis_height)
 
@@ -107,21 +105,9 @@ def _rotations(joints: JointMap, alignment: Alignment, G: Array) -> Float[Array,
 
 def _along(chain: list[Array], part: float) -> Array:
     """Rotation at a fraction of the way along a chain of rotations (frames 3 3)."""
-    place = part * (len(chain) - 1)
-    first = min(int(place + 1e-9), len(chain) - 1)
-    rest = place - first
-    if rest < 1e-9:
-        return chain[first]
-    return rotation_part_way(chain[first], chain[first + 1], rest)
-
-
-def _scale(rig: AnimatedRig, places: dict[str, int], ours: Array, notes: list[str]) -> float:
-    """Metres of the avatar in one unit of the file, by the length of the legs."""
-    rig_leg, mine = leg_length(rig.rest_positions, places), leg_length(ours, J)
-    if not rig_leg > 0:
-        raise AssetError(f"{rig.path}: the legs have no length")
-    notes.append(f"scale: leg {rig_leg:.4g} units -> {mine:.3f} m, root scaled by {mine / rig_leg:.5g}")
-    return mine / rig_leg
+    first = min(int(part * (len(chain) - 1) + 1e-9), len(chain) - 1)
+    rest = part * (len(chain) - 1) - first
+    return chain[first] if rest < 1e-9 else rotation_part_way(chain[first], chain[first + 1], rest)
 
 
 def _flatter(joints: JointMap, G: Array, W: Array, with_leg: Alignment, flat: Alignment, notes: list[str]) -> Alignment:
@@ -138,10 +124,8 @@ def _flatter(joints: JointMap, G: Array, W: Array, with_leg: Alignment, flat: Al
 
     a, b = tilt(with_leg), tilt(flat)
     if abs(a - b) > 2:
-        notes.append(
-            f"feet: rolled {'with the leg' if a <= b else 'flat'} at rest (soles tilt {min(a, b):.0f}, else "
-            f"{max(a, b):.0f} degrees)"
-        )
+        how, least, most = "with the leg" if a <= b else "flat", min(a, b), max(a, b)
+        notes.append(f"feet: rolled {how} at rest (soles tilt {least:.0f}, else {most:.0f} degrees)")
     return with_leg if a <= b else flat
 
 

@@ -23,14 +23,11 @@ LIMB_NAMES = {
 }
 # Of two joints on one bone the first places the bone, the second (a twist joint) turns it.
 BONE_START = {"thightwist": "thighbend", "shldrtwist": "shldrbend", "forearmtwist": "forearmbend"}
-FINGER_NAMES = {
-    "index": ("index",),
-    "middle": ("middle", "mid"),
-    "pinky": ("pinky", "little"),
-    "ring": ("ring",),
-    "thumb": ("thumb",),
-}
+FINGER_NAMES = {"index": ("index",), "middle": ("middle", "mid"), "pinky": ("pinky", "little"), "ring": ("ring",),
+                "thumb": ("thumb",)}  # fmt: skip
 REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow")
+# rotations of joints and their places
+PlacedJoints = tuple[Float[np.ndarray, "frames joints 3 3"], Float[np.ndarray, "frames joints 3"]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,9 +51,7 @@ class AnimatedRig(ABC):
         """Places of the joints at rest, in the file's units."""
 
     @abstractmethod
-    def transforms(
-        self, frames: Int[np.ndarray, "frames"]
-    ) -> tuple[Float[np.ndarray, "frames joints 3 3"], Float[np.ndarray, "frames joints 3"]]:
+    def transforms(self, frames: Int[np.ndarray, "frames"]) -> PlacedJoints:
         """Turn of each joint away from its rest pose, and its place, in the file's world."""
 
 
@@ -121,20 +116,16 @@ def find_joints(rig: AnimatedRig) -> JointMap:
         if not name.startswith("__"):
             side, base = side_and_base(name)
             by_side[side].setdefault(base, index)
-    turns: dict[str, int] = {}
-    places: dict[str, int] = {}
-    absent: list[str] = []
+    turns, places, absent = dict[str, int](), dict[str, int](), list[str]()
     for side in ("left", "right"):
-        have = by_side[side]
-        used: set[str] = set()
+        have, used = by_side[side], set[str]()
         for ours, aliases in LIMB_NAMES.items():
-            key = f"{side}_{ours}"
-            found = next((a for a in aliases if a in have and a not in used), "")
+            key, found = f"{side}_{ours}", next((a for a in aliases if a in have and a not in used), "")
             if not found:
                 absent.append(key)
-                continue
-            used.add(found)
-            turns[key], places[key] = have[found], have[BONE_START.get(found, found)]
+            else:
+                used.add(found)
+                turns[key], places[key] = have[found], have[BONE_START.get(found, found)]
         chains: dict[str, int] = {}
         for finger, aliases in FINGER_NAMES.items():
             for n in (1, 2, 3):
@@ -171,7 +162,6 @@ def _common(rig: AnimatedRig, a: int, b: int) -> int:
     above = set(_ancestors(rig, b)[:-1])
     shared = [k for k in _ancestors(rig, a)[:-1] if k in above]
     if not shared:
-        raise AssetError(
-            f"{rig.path}: {rig.names[a]} and {rig.names[b]} should hang on one joint, have none above both"
-        )
+        names = f"{rig.names[a]} and {rig.names[b]}"
+        raise AssetError(f"{rig.path}: {names} should hang on one joint, have none above both")
     return shared[-1]

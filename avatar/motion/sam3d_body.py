@@ -18,8 +18,10 @@ from numpy import ndarray as Array
 
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, spread_frames
 from avatar.motion.mhr_rig import MHR_JOINTS, NUMBERS, MhrRig, off_bones
+from avatar.motion.pose_vector import check_numbers
 from avatar.motion.read import frame_files
 from avatar.motion.retarget import retarget
+from avatar.motion.smpl_fields import HeldRows
 from command.errors import AssetError
 from command.progress import plural
 from files.npz import NpzFile, NpzMember
@@ -58,7 +60,7 @@ def read_sam3d_body(path: Path | str, skeleton: RestSkeleton | None = None) -> M
     """
     path = Path(path)
     notes: list[str] = []
-    frames, rows, placed = _opened(path, notes)
+    frames, rows, placed = _folder(path, notes) if path.is_dir() else _file(NpzFile(path, WHAT))
     skeleton = builtin_skeleton() if skeleton is None else skeleton
     seen = [rows(int(k), int(k) + 1) for k in spread_frames(frames, SAMPLED_FRAMES)]
     _check_bones(path, np.concatenate([s[1] for s in seen]), np.concatenate([s[0] for s in seen]), notes)
@@ -78,77 +80,55 @@ def read_sam3d_body(path: Path | str, skeleton: RestSkeleton | None = None) -> M
     return retarget(rig, skeleton, up_known=True, assumed=tuple(notes), alignment=rig.alignment)
 
 
-def _opened(path: Path, notes: list[str]) -> tuple[int, Rows, bool]:
-    """How many frames there are, what reads a stretch of them, and whether they are placed before the camera."""
-    if path.is_dir():
-        files = frame_files(path, ".npz", "results of SAM 3D Body")
-        notes.append(f"frames: {plural(len(files), 'file')} in the order of names, {files[0].name} to {files[-1].name}")
-        with closing(NpzFile(files[0], WHAT)) as npz:
-            placed = CAMERA in npz.names
+def _folder(path: Path, notes: list[str]) -> tuple[int, Rows, bool]:
+    """As `_file`, of a folder with a frame a file."""
+    files = frame_files(path, ".npz", "results of SAM 3D Body")
+    notes.append(f"frames: {plural(len(files), 'file')} in the order of names, {files[0].name} to {files[-1].name}")
+    with closing(NpzFile(files[0], WHAT)) as npz:
+        placed = CAMERA in npz.names
 
-        def one(file: Path) -> tuple[Array, Array, Array]:
+    def rows(start: int, stop: int) -> tuple[Array, Array, Array]:
+        """Joints, rotations and places before the camera, a file a frame."""
+        joints, R, camera = (np.zeros((stop - start, *tail)) for tail in SHAPES.values())
+        for k, file in enumerate(files[start:stop]):
             with closing(NpzFile(file, WHAT)) as npz:
-                frames, rows = _fields(npz, file.name)
+                frames, of_file, _ = _file(npz)
                 if frames != 1:
                     raise AssetError(f"{file}: expected one frame a file in a folder, found {frames}")
-                return rows(0, 1)
+                joints[k : k + 1], R[k : k + 1], camera[k : k + 1] = of_file(0, 1)
+        return joints, R, camera
 
-        def stretch(start: int, stop: int) -> tuple[Array, Array, Array]:
-            parts = [one(file) for file in files[start:stop]]
-            if not parts:
-                return np.zeros((0, MHR_JOINTS, 3)), np.zeros((0, MHR_JOINTS, 3, 3)), np.zeros((0, 3))
-            joints, R, camera = (np.concatenate(values) for values in zip(*parts, strict=True))
-            return joints, R, camera
-
-        return len(files), stretch, placed
-    npz = NpzFile(path, WHAT)
-    frames, rows = _fields(npz, "")
-    return frames, rows, CAMERA in npz.names
+    return len(files), rows, placed
 
 
-def _fields(npz: NpzFile, place: str) -> tuple[int, Rows]:
-    """Frames of one file and what reads them: joints, rotations, places before the camera."""
-    path, frames = npz.path, -1
-    fields: list[tuple[NpzMember, tuple[int, ...]]] = []
+def _file(npz: NpzFile) -> tuple[int, Rows, bool]:
+    """How many frames, what reads their joints, rotations and places before the camera, and whether it has those."""
+    path, frames, fields = npz.path, -1, dict[str, NpzMember | HeldRows]()
     for key, tail in SHAPES.items():
         if key not in npz.names and key == CAMERA:
             continue
-        if key not in npz.names:
-            raise AssetError(f"{path}: no {key}; expected {WHAT}, the file has {', '.join(sorted(npz.names)[:12])}")
         member = npz.member(key)
-        stacked = member.shape[1:] == tail
-        if (not stacked and member.shape != tail) or member.dtype.kind not in "fiu":
+        if member.dtype.kind not in "fiu" or tail not in (member.shape, member.shape[1:]):
             raise AssetError(
                 f"{path}: {key} should be {tail} numbers, or frames of them, is {member.shape} {member.dtype}"
             )
-        count = member.shape[0] if stacked else 1
+        fields[key] = HeldRows(member.all()[None]) if member.shape == tail else member
+        count = fields[key].shape[0]
         if count == 0 or frames not in (-1, count):
-            expected = "at least 1" if count == 0 else f"{frames} as in {fields[0][0].name}"
+            expected = "at least 1" if count == 0 else f"{frames} as in {JOINTS}"
             raise AssetError(f"{path}: {key} has {count} frames, expected {expected}")
         frames = count
-        fields.append((member, tail))
-
-    def values(member: NpzMember, tail: tuple[int, ...], start: int, stop: int) -> Array:
-        """A field in frames start .. stop - 1, checked."""
-        if member.shape == tail:
-            with np.errstate(invalid="ignore"):
-                found = member.all().astype(np.float64)[None][start:stop]
-        else:
-            found = member.rows(start, stop).reshape(stop - start, *tail)
-        bad = ~(np.abs(found) < LARGEST)
-        if bad.any():
-            where = np.argwhere(bad)[0]
-            joint = f", joint {int(where[1])}" if len(tail) > 1 else ""
-            place = f"first in frame {start + int(where[0])}{joint}"
-            raise AssetError(f"{path}: {member.name} is not finite, or beyond {LARGEST:g}, {place}")
-        return found
 
     def rows(start: int, stop: int) -> tuple[Array, Array, Array]:
-        joints, R, *camera = (values(*field, start, stop) for field in fields)
+        joints, R, camera = (np.zeros((stop - start, *tail)) for tail in SHAPES.values())
+        for key, out in zip(SHAPES, (joints, R, camera), strict=True):
+            if key in fields:
+                out[:] = fields[key].rows(start, stop).reshape(out.shape)
+                check_numbers(path, key, out, start, LARGEST)
         _check(path, joints, R, start)
-        return joints, R, camera[0] if camera else np.zeros((stop - start, 3))
+        return joints, R, camera
 
-    return frames, rows
+    return frames, rows, CAMERA in fields
 
 
 def _check(path: Path, joints: Array, R: Array, start: int) -> None:
@@ -186,10 +166,7 @@ def _check_bones(path: Path, R: Array, joints: Array, notes: list[str]) -> None:
             f"degrees (median) off the axes that should run along them (at most {MOST_OFF:g})"
         )
     fingers = np.degrees(off_bones(R, joints * FLIP, fingers=True)).reshape(len(R), 2, -1).mean((0, 2))
-    older = [
-        f"{side} ({angle:.0f} degrees)"
-        for side, angle in zip(("left", "right"), fingers, strict=True)
-        if angle > HANDS_OFF
-    ]
+    off_hands = zip(("left", "right"), fingers, strict=True)
+    older = [f"{side} ({angle:.0f} degrees)" for side, angle in off_hands if angle > HANDS_OFF]
     if older:
         notes.append(f"hands: rotations are off the joints, which are kept: {', '.join(older)}")

@@ -30,9 +30,7 @@ from avatar.motion.clip import Motion, checked_pelvis_height, checked_rate, spre
 from avatar.motion.pose_vector import (
     FULL_HANDS,
     LARGEST,
-    LARGEST_BETA,
     NEEDS_MODEL,
-    REFUSED_COLUMNS,
     TURNS,
     PoseLayout,
     check_numbers,
@@ -56,8 +54,19 @@ BOTH = ("pose_hand", "hand_pose", "poses_hand")
 PLACE = ("trans", "transl", "pose_est_trans")
 SHAPE = ("betas", "shape_est_betas", "beta")
 RATE = ("mocap_framerate", "mocap_frame_rate", "mosh_framerate", "framerate", "frame_rate", "fps")
+FACE = {"face": (len(SHAPES),), "gaze": (2, 2)}
 # looked at for the up axis
 SAMPLED_FRAMES = 200
+# coefficients of people lie within 5
+LARGEST_BETA = 1e3
+REFUSED_COLUMNS = {
+    63: "63 is a body without its root: expected `root_orient` and `pose_body`",
+    69: "69 is 23 joints without a root orientation, or a body with a part left out",
+    75: "75 may be SMPL-X without hands or a body with hand PCA coefficients and without its root",
+    78: f"78 is a body with 2 x 6 hand PCA coefficients (EasyMocap): {NEEDS_MODEL}",
+    87: f"87 is EasyMocap's SMPL-X vector with 2 x 6 hand PCA coefficients: {NEEDS_MODEL}",
+    153: "153 is 51 joints: the root orientation is missing",
+}
 # bytes of a field that is not a row a frame
 MAX_SMALL = 1 << 20
 
@@ -72,7 +81,9 @@ class HeldRows:
 
     def rows(self, start: int, stop: int) -> Float[Array, "rows columns"]:
         """Rows start .. stop - 1 as float64."""
-        return self.value[start:stop].reshape(-1, self.row).astype(np.float64)
+        # a signalling NaN would print a warning; who reads the rows names it
+        with np.errstate(invalid="ignore"):
+            return self.value[start:stop].reshape(-1, self.row).astype(np.float64)
 
     def all(self, most: int) -> Array:
         """The whole array, which is held whatever it takes."""
@@ -94,23 +105,21 @@ class PoseFields(NamedTuple):
         """The first of these names that the file has."""
         return next((name for name in names if name in self.names), None)
 
-    def rows(self, name: str, frames: int | None = None) -> Rows:
-        """An array of numbers with a row a frame."""
+    def rows(self, name: str, frames: int | None = None, row: tuple[int, ...] | None = None) -> Rows:
+        """An array of numbers with a row a frame, of this shape."""
         member = self.member(name)
         if member.dtype.kind not in "fiu":
             raise AssetError(f"{self.path}: {name} should be numbers, is {member.dtype}")
-        if len(member.shape) < 2 or frames not in (None, member.shape[0]):
-            expected = f"({'frames' if frames is None else frames}, numbers)"
-            raise AssetError(f"{self.path}: {name} should be {expected}, is {member.shape}")
+        if len(member.shape) < 2 or frames not in (None, member.shape[0]) or row not in (None, member.shape[1:]):
+            expected = ", ".join(map(str, (frames or "frames", *(row or ["numbers"]))))
+            raise AssetError(f"{self.path}: {name} should be ({expected}), is {member.shape}")
         return member
 
     def numbers(self, name: str, most: float = LARGEST) -> Float[Array, "n"]:
         """A small field; of one with a row a frame the first row."""
         member = self.member(name)
-        if member.dtype.kind in "fiu" and len(member.shape) > 1 and member.shape[0]:
-            value = member.rows(0, 1)
-        else:
-            value = member.all(MAX_SMALL)
+        framed = member.dtype.kind in "fiu" and len(member.shape) > 1 and member.shape[0]
+        value = member.rows(0, 1) if framed else member.all(MAX_SMALL)
         if value.dtype.kind not in "fiu" or not (np.abs(value.astype(np.float64)) < most).all():
             raise AssetError(f"{self.path}: {name} should be finite numbers below {most:g}, is {value.dtype}")
         return value.reshape(-1).astype(np.float64)
@@ -152,9 +161,7 @@ def read_pose_fields(fields: PoseFields, body: Body | None, notes: list[str]) ->
     place_name = fields.first(PLACE)
     if place_name is None:
         notes.append("no trans: the pelvis stays in place")
-    place = None if place_name is None else fields.rows(place_name)
-    if place is not None and place.shape != (poses.frames, 3):
-        raise AssetError(f"{path}: {place_name} should be ({poses.frames}, 3), is {place.shape}")
+    place = None if place_name is None else fields.rows(place_name, poses.frames, (3,))
     rate = _rate(fields, notes)
     up = _up(fields, poses, notes)
     pelvis, height = _pelvis(fields, body, up, notes)
@@ -168,7 +175,7 @@ def read_pose_fields(fields: PoseFields, body: Body | None, notes: list[str]) ->
         root = np.zeros((stop - start, 3))
         if place is not None:
             root = place.rows(start, stop)
-            check_numbers(path, str(place_name), root[:, None], start)
+            check_numbers(path, str(place_name), root, start)
         root = root + pelvis
         if up != "+y":
             pose[:, 0], root = turned(pose[:, 0], turn), root @ R.T
@@ -181,27 +188,17 @@ def read_pose_fields(fields: PoseFields, body: Body | None, notes: list[str]) ->
 
 def _faces(fields: PoseFields, frames: int) -> Callable[[int, int], tuple[Array, Array]] | None:
     """What the file says of the face, as `Motion.faces` gives it."""
-    held: dict[str, Rows] = {}
-    for name, row in (("face", (len(SHAPES),)), ("gaze", (2, 2))):
-        if name in fields.names:
-            held[name] = fields.rows(name)
-            if held[name].shape != (frames, *row):
-                raise AssetError(f"{fields.path}: {name} should be {(frames, *row)}, is {held[name].shape}")
-    if not held:
-        return None
+    held = {name: fields.rows(name, frames, row) for name, row in FACE.items() if name in fields.names}
 
-    def rows(name: str, width: int, start: int, stop: int) -> Array:
+    def rows(name: str, start: int, stop: int) -> Array:
         """Rows of a field, 0 where the file lacks it."""
         if name not in held:
-            return np.zeros((stop - start, width))
+            return np.zeros((stop - start, *FACE[name]))
         values = held[name].rows(start, stop)
-        with np.errstate(invalid="ignore"):
-            good = (np.abs(values) < LARGEST).all(1)
-        if not good.all():
-            raise AssetError(f"{fields.path}: {name} should be finite, is not at frame {start + int(np.argmin(good))}")
-        return values
+        check_numbers(fields.path, name, values, start)
+        return values.reshape(-1, *FACE[name])
 
-    return lambda start, stop: (rows("face", 52, start, stop), rows("gaze", 4, start, stop).reshape(-1, 2, 2))
+    return (lambda start, stop: (rows("face", start, stop), rows("gaze", start, stop))) if held else None
 
 
 def _poses(fields: PoseFields, body: Body | None, notes: list[str]) -> _Poses:
@@ -226,9 +223,8 @@ def _poses(fields: PoseFields, body: Body | None, notes: list[str]) -> _Poses:
         if root is None and trunk is None:
             hint = " (a shape file?)" if "betas" in fields.names else ""
             raise AssetError(f"{path}: no poses{hint}; expected one of {', '.join(WHOLE + BODY)}; found {found}")
-        raise AssetError(
-            f"{path}: no {' or '.join((BODY if root else ROOT)[:2])} beside {root or trunk}; it has {found}"
-        )
+        absent = " or ".join((BODY if root else ROOT)[:2])
+        raise AssetError(f"{path}: no {absent} beside {root or trunk}; it has {found}")
     return _apart(fields, root, trunk, body, notes)
 
 
@@ -247,11 +243,11 @@ def _apart(fields: PoseFields, root: str, trunk: str, body: Body | None, notes: 
     count = sum(hand.row for _, hand in held)
     if hands and (count % 2 or not 0 < count <= 90 or held[0][1].row != held[-1][1].row):
         raise AssetError(f"{path}: {' and '.join(hands)} should have 45 numbers a hand, have {count} in all")
-    layout = PoseLayout(66, True, None, 0, "hands: none in the file, flat")
+    layout = PoseLayout(True, None, 0, "hands: none in the file, flat")
     if hands:
         each = 0 if count == 90 else count // 2
         note = f"hands: 2 x {each} PCA coefficients, expanded, mean added" if each else FULL_HANDS
-        layout = PoseLayout(66 + count, True, slice(66, 66 + count), each, note)
+        layout = PoseLayout(True, slice(66, 66 + count), each, note)
     if not readable(layout, body):
         raise AssetError(f"{path}: {' and '.join(hands)}: 2 x {layout.components} hand coefficients: {NEEDS_MODEL}")
     notes.append(layout.note)
@@ -263,12 +259,11 @@ def _rate(fields: PoseFields, notes: list[str]) -> float:
     if name is None:
         notes.append(f"no frame rate ({', '.join(RATE)}): 30 frames per second assumed")
         return 30.0
-    value = fields.member(name).all(MAX_SMALL)
+    place, value = f"{fields.path}: {name}", fields.member(name).all(MAX_SMALL)
     if value.size != 1 or value.dtype.kind not in "fiu":
-        raise AssetError(
-            f"{fields.path}: {name} should be positive frames per second, one number, is {value.shape} of {value.dtype}"
-        )
-    return checked_rate(f"{fields.path}: {name}", float(value.reshape(())))
+        found = f"{value.shape} of {value.dtype}"
+        raise AssetError(f"{place} should be positive frames per second, one number, is {found}")
+    return checked_rate(place, float(value.reshape(())))
 
 
 def _up(fields: PoseFields, poses: _Poses, notes: list[str]) -> str:
@@ -287,7 +282,7 @@ def _up(fields: PoseFields, poses: _Poses, notes: list[str]) -> str:
     sample = spread_frames(poses.frames, SAMPLED_FRAMES)
     root = np.concatenate([poses.rows(int(k), int(k) + 1)[:, :3] for k in sample])
     for k, one in zip(sample, root, strict=True):
-        check_numbers(fields.path, poses.names[0], one[None, None], int(k))
+        check_numbers(fields.path, poses.names[0], one[None], int(k))
     return up_axis(upright_of(root), notes)
 
 
@@ -299,8 +294,8 @@ def _pelvis(fields: PoseFields, body: Body | None, up: str, notes: list[str]) ->
     if "pelvis" in fields.names:
         return fields.few("pelvis", 3), height
     name = fields.first(SHAPE)
-    given = given_pelvis(np.zeros(0) if name is None else fields.numbers(name, LARGEST_BETA), body, notes)
-    if given is not None:
+    betas = np.zeros(0) if name is None else fields.numbers(name, LARGEST_BETA)
+    if given := given_pelvis(betas, body, notes):
         return given
     if up == "+y" and "up_axis" in fields.names:
         notes.append("pelvis: at trans, as in our own y-up files")

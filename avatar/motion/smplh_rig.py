@@ -32,7 +32,7 @@ def is_smplh(rig: AnimatedRig) -> bool:
         above = rig.parents[k]
         while above >= 0 and rig.names[above] not in J:
             above = rig.parents[above]
-        if (rig.names[above] if above >= 0 else "") != (JOINTS[PARENTS[J[name]]] if J[name] else ""):
+        if (J[rig.names[above]] if above >= 0 else -1) != PARENTS[J[name]]:
             return False
     at = rig.rest_positions
     left = at[place["left_shoulder"]] - at[place["right_shoulder"]]
@@ -45,14 +45,12 @@ def off_t_pose(at: Float[Array, "nodes 3"], place: dict[str, int]) -> float:
     """Mean angle, degrees, of upper arms and thighs to a T-pose's, in the frame of hips and head."""
     hips = (at[place["left_hip"]] + at[place["right_hip"]]) / 2
     up, left = at[place["head"]] - hips, at[place["left_hip"]] - at[place["right_hip"]]
-    pairs = []
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        pairs.append((at[place[f"{side}_knee"]] - at[place[f"{side}_hip"]], -up))
-        pairs.append((at[place[f"{side}_elbow"]] - at[place[f"{side}_shoulder"]], sign * left))
     total = 0.0
-    for a, b in pairs:
-        length = np.linalg.norm(a) * np.linalg.norm(b)
-        total += float(np.degrees(np.arccos(np.clip(a @ b / length, -1, 1)))) if length > 0 else 180.0
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        for a, b, goal in (("hip", "knee", -up), ("shoulder", "elbow", sign * left)):
+            bone = at[place[f"{side}_{b}"]] - at[place[f"{side}_{a}"]]
+            length = np.linalg.norm(bone) * np.linalg.norm(goal)
+            total += float(np.degrees(np.arccos(np.clip(bone @ goal / length, -1, 1)))) if length > 0 else 180.0
     return total / 4
 
 

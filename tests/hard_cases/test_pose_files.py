@@ -40,7 +40,7 @@ def test_one_bad_root_position_is_named(tmp_path):
         read_motion(save(tmp_path / "a.npz", trans=trans)).read()
     gaze = np.zeros((3, 2, 2))
     gaze[2, 0, 1] = np.inf
-    with pytest.raises(AssetError, match="gaze should be finite, is not at frame 2"):
+    with pytest.raises(AssetError, match="gaze is not finite at frame 2"):
         read_motion(save(tmp_path / "a.npz", gaze=gaze)).read(1, 3)
 
 

@@ -124,7 +124,7 @@ def test_four_features_lie_as_grey_planes_one_below_the_other(path):
     write_avatar(path, avatar)
     gltf = read_gltf(path)
     for item, level in zip(gltf.json["extensions"]["SELFSCAN_avatar"]["levels"], avatar.levels, strict=True):
-        image = Image.open(io.BytesIO(gltf.image(item["featureImage"])[0]))
+        image = Image.open(io.BytesIO(gltf.image(item["featureImage"])))
         # no color profile, no gamma: nothing for a decoder to apply
         assert image.mode == "L" and not image.info
         np.testing.assert_array_equal(np.array(image), np.concatenate([level.features[..., i] for i in range(4)]))
