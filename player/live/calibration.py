@@ -18,7 +18,7 @@ from jaxtyping import Float
 from avatar.face import FaceFrame
 from avatar.rotation import axis_angle_from_quaternion, quaternion_inverse, quaternion_product
 from avatar.skeleton import DEPTHS, PARENTS
-from player.live.frame import LivePose
+from player.draw.drawing import Pose
 from player.live.vmc import VmcRig
 
 
@@ -43,7 +43,7 @@ def calibrated(t_pose: VmcRig) -> Calibration:
     return Calibration(t_pose.rotations.copy(), parent_rest)
 
 
-def pose_from_rig(rig: VmcRig, calibration: Calibration, face: FaceFrame | None = None) -> LivePose:
+def pose_from_rig(rig: VmcRig, calibration: Calibration, face: FaceFrame | None = None) -> Pose:
     """Our pose of a rig; the root's own pose moves and turns the pelvis."""
     turn = quaternion_product(rig.rotations, quaternion_inverse(calibration.rest))
     W = calibration.parent_rest
@@ -51,4 +51,4 @@ def pose_from_rig(rig: VmcRig, calibration: Calibration, face: FaceFrame | None 
     normal[0] = quaternion_product(rig.root_rotation, normal[0])
     hips = np.append(rig.hips, 0.0)
     carried = quaternion_product(quaternion_product(rig.root_rotation, hips), quaternion_inverse(rig.root_rotation))
-    return LivePose(axis_angle_from_quaternion(normal), rig.root + carried[:3], face)
+    return Pose(axis_angle_from_quaternion(normal), rig.root + carried[:3], face)

@@ -15,7 +15,7 @@ from avatar.face import FaceFrame
 from avatar.gaze import NECK_AND_HEAD, gaze_of, turned_head
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from player.draw.drawing import Pose
-from player.live.frame import Counters, Decoded, LivePose
+from player.live.frame import Counters, Decoded
 
 # seconds; a clock set back by more was restarted
 RESTART = 1.0
@@ -33,9 +33,9 @@ class SentFace(NamedTuple):
     sent: float | None = None  # seconds on the sender's clock
 
     @property
-    def pose(self) -> LivePose:
+    def pose(self) -> Pose:
         """The pose of it, in T-pose but for the head."""
-        return LivePose(turned_head(np.array(self.head)), np.zeros(3), self.face)
+        return Pose(turned_head(np.array(self.head)), np.zeros(3), self.face)
 
 
 class FaceDecoder:

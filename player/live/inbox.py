@@ -10,9 +10,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
+from player.draw.drawing import Pose
 from player.live.calibration import calibrated, identity_calibration, pose_from_rig
 from player.live.face_sender import FaceDecoder, SentFace
-from player.live.frame import Counters, Decoded, LiveFrame, LivePose
+from player.live.frame import Counters, Decoded, LiveFrame
 from player.live.ifacialmocap import parse_ifacialmocap
 from player.live.json_pose import JsonDecoder, JsonPose
 from player.live.livelinkface import parse_livelinkface
@@ -126,7 +127,7 @@ class Inbox:
         with self.arrived:
             return self.arrived.wait_for(lambda: self.newest is not None and self.newest.number > after, timeout)
 
-    def pose(self, frame: LiveFrame) -> LivePose:
+    def pose(self, frame: LiveFrame) -> Pose:
         """A frame in our joints and world, of the sender's body."""
         if isinstance(frame.content, VmcState):
             return pose_from_rig(rig_from_state(frame.content), self.calibration, face_of(frame.content))
@@ -151,7 +152,7 @@ class Inbox:
             self.calibration = calibrated(rig_from_state(self.newest.content))
             return True
 
-    def sample(self) -> tuple[LiveFrame, LivePose] | None:
+    def sample(self) -> tuple[LiveFrame, Pose] | None:
         """The newest frame and its pose. None: none yet."""
         with self.lock:
             newest = self.newest

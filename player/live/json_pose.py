@@ -19,7 +19,8 @@ from jaxtyping import Float
 from avatar.face import SHAPES, FaceFrame
 from avatar.face_names import weights_of
 from avatar.gaze import gaze_of
-from player.live.frame import Counters, Decoded, LivePose
+from player.draw.drawing import Pose
+from player.live.frame import Counters, Decoded
 
 LARGEST = 16384  # bytes; a message has about 3000, with a face 4500
 MOST_NAMES = 256  # a face's
@@ -33,7 +34,7 @@ class JsonPose(NamedTuple):
     time: float
     sequence: int
     sender: str
-    pose: LivePose
+    pose: Pose
     pelvis_height: float | None
 
 
@@ -66,7 +67,7 @@ def parse_pose(data: bytes | str) -> JsonPose:
         height = float(_numbers([height], 1, 100, "pelvis_height")[0])
         if height < 0.05:
             raise PoseError("pelvis_height should be metres, at least 0.05")
-    return JsonPose(float(time), sequence, sender, LivePose(poses.reshape(52, 3), trans, _face(found)), height)
+    return JsonPose(float(time), sequence, sender, Pose(poses.reshape(52, 3), trans, _face(found)), height)
 
 
 def _face(found: dict) -> FaceFrame | None:
@@ -95,25 +96,19 @@ def _numbers(value: object, count: int, largest: float | int, name: str) -> Floa
 
 
 def build_pose(
-    axis_angle: Float[np.ndarray, "52 3"],
-    root: Float[np.ndarray, "3"],
-    *,
-    time: float | int,
-    sequence: int,
-    sender: str = "",
-    pelvis_height: float | None = None,
-    face: FaceFrame | None = None,
+    pose: Pose, *, time: float | int, sequence: int, sender: str = "", pelvis_height: float | None = None
 ) -> bytes:
-    """One message; the numbers to 1e-6. A gaze is sent as the eyeLook* shapes of `face` say it."""
+    """One message; the numbers to 1e-6. A gaze is sent as the eyeLook* shapes of the face say it."""
     message: dict = {"v": 1, "t": time, "seq": sequence}
     if sender:
         message["id"] = sender
     if pelvis_height is not None:
         message["pelvis_height"] = round(pelvis_height, 6)
-    message["trans"] = np.round(root, 6).tolist()
-    message["poses"] = np.round(axis_angle, 6).reshape(-1).tolist()
-    if face is not None:
-        message["face"] = {name: round(float(weight), 4) for name, weight in zip(SHAPES, face.weights) if weight > 0}
+    message["trans"] = np.round(pose.root, 6).tolist()
+    message["poses"] = np.round(pose.axis_angle, 6).reshape(-1).tolist()
+    if pose.face is not None:
+        weights = zip(SHAPES, pose.face.weights.tolist(), strict=True)
+        message["face"] = {name: round(weight, 4) for name, weight in weights if weight > 0}
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
 
 

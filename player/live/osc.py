@@ -111,22 +111,14 @@ def _string(data: bytes, start: int, end: int) -> tuple[str, int]:
         raise OscError("a string that is not UTF-8") from None
 
 
-def build_message(address: str, *arguments: str | float | int | bool) -> bytes:
-    """A message: str as s, bool as T or F, int as int32, float as float32."""
-    letters, parts = [","], []
+def build_message(address: str, *arguments: str | float | int) -> bytes:
+    """A message: str as s, int as int32, float as float32."""
+    letters, data = ",", b""
     for value in arguments:
-        if isinstance(value, bool):
-            letters.append("T" if value else "F")
-        elif isinstance(value, int):
-            letters.append("i")
-            parts.append(struct.pack(">i", value))
-        elif isinstance(value, float):
-            letters.append("f")
-            parts.append(struct.pack(">f", value))
-        else:
-            letters.append("s")
-            parts.append(_padded(value))
-    return _padded(address) + _padded("".join(letters)) + b"".join(parts)
+        letter = "s" if isinstance(value, str) else "i" if isinstance(value, int) else "f"
+        letters += letter
+        data += _padded(value) if isinstance(value, str) else struct.pack(f">{letter}", value)
+    return _padded(address) + _padded(letters) + data
 
 
 def build_bundle(elements: Sequence[bytes]) -> bytes:

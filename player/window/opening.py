@@ -2,7 +2,7 @@
 
 An avatar takes the place of the selected one, a motion moves it, films, pictures and panoramas go behind everyone. A
 scene replaces all that is shown (player/window/window.py). A file that cannot be read is named in one line, and what
-was shown stays.
+was shown stays. With --follow, an avatar's file that was replaced is shown anew (`selfscan make` writes better ones).
 """
 
 import os
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 GLTF = (".glb", ".gltf", ".vrm", ".vrma")
 FILMS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+# what differs when a file is replaced
+Stamp = tuple[int, int]
 # what a background is called in scenes
 BACKGROUNDS = {"panorama": "hdr", "picture": "image", "film": "video"}
 KINDS = dict.fromkeys([suffix for reader in READERS for suffix in reader.suffixes if suffix[0] == "."], "motion")
@@ -176,3 +178,39 @@ def _put_behind(parts: "WindowParts", kind: str, path: str) -> bool:
     if kind == "panorama":
         effects = replace(effects, light=Light(by="panorama"))
     return parts.look.change(effects=effects, background=Background(BACKGROUNDS[kind], path=path))
+
+
+class Renewal:
+    """The files of what is shown, looked at again and again; camera, time, place and hand-made poses stay."""
+
+    def __init__(self, opening: Opening):
+        self._opening = opening
+        # what each file was when it was shown
+        self._shown: dict[str, Stamp | None] = {}
+        self.due()
+
+    def due(self) -> list[int]:
+        """The avatars whose file is another one than was shown last."""
+        entries = [(k, entry.path) for k, entry in enumerate(self._opening.scene.avatars)]
+        files = [(k, path, stamp_of(Path(path))) for k, path in entries if path not in BUILTIN_AVATARS]
+        return [k for k, path, stamp in files if stamp not in (None, self._shown.setdefault(path, stamp))]
+
+    def take(self, parts: "WindowParts") -> None:
+        """Show what is due; a file that cannot be read is named, and the avatar stays as it is."""
+        for k in self.due():
+            entry = self._opening.scene.avatars[k]
+            self._shown[entry.path] = stamp_of(Path(entry.path))
+            try:
+                if put_avatar(parts, k, entry):
+                    parts.state.messages.say(f"{entry.path}: a new one is shown")
+            except AssetError as error:
+                parts.state.messages.say(str(error))
+
+
+def stamp_of(file: Path) -> Stamp | None:
+    """What differs when a file is replaced; None where there is none."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino

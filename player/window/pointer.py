@@ -13,7 +13,6 @@ from player.draw.drawing import GivenPose
 from player.draw.posing import posed_vertices
 from player.window.parts import WindowParts
 from player.window.pose_tool import PoseTool
-from player.window.screen import Screen
 
 # window units that a click may wander
 CLICK = 4.0
@@ -35,7 +34,7 @@ class Pointer:
     """Where the pointer is, window units, and what it holds: nothing yet, the camera, the wipe's line or the tool."""
 
     def __init__(self, parts: WindowParts):
-        self.parts = parts
+        self.parts, self._screen = parts, parts.state.layout.screen
         self.at: tuple[float, float] = (0.0, 0.0)
         # button and where it went down
         self._pressed: tuple[int, float, float] | None = None
@@ -47,16 +46,19 @@ class Pointer:
         return None if edit is None else edit.tool
 
     @property
-    def _screen(self) -> Screen:
-        return self.parts.state.layout.screen
-
-    @property
     def beside_middle(self) -> tuple[float, float]:
         """How far right of and below the middle of the picture it points, in metres at a metre's depth."""
         camera, (x, y) = self.parts.state.last.camera, self._screen.pixel(*self.at)
         if camera is None:
             return 0.0, 0.0
         return float((x - camera.K[0, 2]) / camera.K[0, 0]), float((y - camera.K[1, 2]) / camera.K[1, 1])
+
+    @property
+    def over_picture(self) -> bool:
+        """Whether it is in the area that is free of panels."""
+        x, y = self._screen.pixel(*self.at)
+        left, top, width, height = self.parts.state.layout.area
+        return left <= x < left + width and top <= y < top + height
 
     def move(self, x: float | int, y: float | int) -> None:
         """The pointer moved."""
@@ -72,7 +74,7 @@ class Pointer:
         if self._holds == "nothing" and np.hypot(x - x0, y - y0) > CLICK:
             self._holds, dx, dy = "camera", x - x0, y - y0
         if self._holds == "wipe" and wipe is not None:
-            wipe.move_to(pixel[0], self.parts.state.layout.area)
+            wipe.move_to(pixel[0])
         elif self._holds == "tool" and tool is not None:
             tool.drag(*pixel)
         elif self._holds == "camera" and button == 0:
@@ -89,7 +91,7 @@ class Pointer:
         wipe, edit = self.parts.wipe, self.parts.posing.edit
         if edit is not None and edit.tool.press(x, y):
             self._holds = "tool"
-        elif wipe is not None and self.parts.viewpoint.shows_video and wipe.near(x, self.parts.state.layout):
+        elif wipe is not None and self.parts.viewpoint.shows_video and wipe.near(x):
             self._holds = "wipe"
 
     def release(self, button: int) -> None:

@@ -100,7 +100,7 @@ def test_the_avatar_lies_on_the_video_that_it_was_filmed_in(window, capture):
     for frame in range(FRAMES):
         window.parts.state.timeline.seek(frame)
         avatar = run(window, "wait")
-        line = round(window.parts.wipe.line(window.parts.state.layout.area))
+        line = round(window.parts.wipe.line)
         assert abs(line - 96) <= 1
         video = source(capture, frame)
         right = np.abs(avatar - video)[:, line + 2 :]

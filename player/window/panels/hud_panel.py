@@ -10,8 +10,7 @@ from avatar.camera import project
 from avatar.skeleton import joint_transforms
 from command.progress import plural
 from player.live.latency import DRAWN
-from player.window.actions import GROUPS
-from player.window.help import mouse_rows, rows
+from player.window.actions import GROUPS, mouse_rows
 from player.window.panels.widgets import shortened
 from player.window.parts import WindowParts
 from player.window.state import WindowState
@@ -81,7 +80,8 @@ def status(parts: WindowParts) -> str:
         words.append(parts.viewpoint.cameras.kind)
     if parts.recorder.film is not None:
         words.append(f"filming {parts.recorder.film.frames}")
-    if state.selection.any:
+    # something else than the first avatar as a whole
+    if state.selection.avatar != 0 or state.selection.joint is not None:
         words.append(state.selection.name)
     return "    ".join([*words, "h: keys"])
 
@@ -97,10 +97,9 @@ def status_line(parts: WindowParts) -> None:
 
 
 def key_list(parts: WindowParts) -> None:
-    """The keys that hold now, in the middle of the window, in as many columns as it has room for; the wheel scrolls
-    what is too high for it."""
+    """The keys that hold now, in as many columns as the window has room for; the wheel scrolls what is too high."""
     groups = [group for group in GROUPS if group.when(parts)]
-    blocks: list[Block] = [*((group.title, rows(group)) for group in groups), ("Mouse", mouse_rows(groups))]
+    blocks: list[Block] = [*((group.title, group.rows) for group in groups), ("Mouse", mouse_rows(groups))]
     cells = [cell for _, lines in blocks for cell in lines]
     letter, (wide, high) = imgui.get_font_size(), imgui.get_io().display_size
     across = max(imgui.calc_text_size(keys).x for keys, _ in cells) + letter

@@ -51,7 +51,8 @@ def _before(ui: Widgets, parts: WindowParts) -> None:
     opening = parts.opening
     imgui.text_colored(TITLE, "Opened before")
     for number, path in enumerate(opening.recent):
-        if _row(ui, Path(path).name, kind_in_words(path), f"Open {path}", f"recent {number}"):
+        kind = KINDS.get(Path(path).suffix.lower(), "")
+        if _row(ui, Path(path).name, kind, f"Open {path}", f"recent {number}"):
             opening.ask(path)
     if not opening.recent:
         imgui.text_disabled("nothing yet")
@@ -82,7 +83,3 @@ def _row(ui: Widgets, text: str, kind: str, tip: str, name: str) -> bool:
     imgui.text_disabled(kind)
     imgui.same_line(KIND * imgui.get_font_size())
     return ui.row(text, tip, name=name)
-
-
-def kind_in_words(path: Path | str) -> str:
-    return KINDS.get(Path(path).suffix.lower(), "")

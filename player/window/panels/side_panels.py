@@ -11,7 +11,6 @@ from player.window import actions
 from player.window.panels.effects_panel import background_panel, effects_panel, looks_panel
 from player.window.panels.widgets import Widgets, tip_of
 from player.window.parts import WindowParts
-from player.window.playback import Playback
 from player.window.state import joint_name
 from player.window.viewpoint import Viewpoint
 from player.window.wipe import Wipe
@@ -47,9 +46,9 @@ def _place(ui: Widgets, track: Track) -> None:
         track.start = track.start if start is None else start
 
 
-def live_panel(ui: Widgets, playback: Playback) -> None:
+def live_panel(ui: Widgets, parts: WindowParts) -> None:
     """A block for each source."""
-    for number, (live, _) in enumerate(playback.live):
+    for number, (live, _) in enumerate(parts.state.playback.live):
         imgui.push_id(number)
         _source(live)
         asked = live.countdown is not None
@@ -147,6 +146,7 @@ def more_panel(ui: Widgets, parts: WindowParts) -> None:
     if levels > 1:
         names = [f"{len(level.faces)} triangles" for level in parts.state.avatars[0].levels]
         names += [f"level {k}" for k in range(len(names), levels)]
-        chosen = ui.choice("detail", min(look.level, levels - 1), names, "Level of detail: fewer triangles are faster.")
+        tip = "Level of detail: fewer triangles are faster."
+        chosen = ui.choice("detail", min(look.rung.level, levels - 1), names, tip)
         if chosen is not None:
             look.change(level=chosen)

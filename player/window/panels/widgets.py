@@ -6,6 +6,7 @@ does is made from the table of keys and shows the key.
 
 from collections.abc import Callable, Sequence
 from pathlib import PurePath
+from typing import TypeVar
 
 from imgui_bundle import imgui
 
@@ -14,6 +15,7 @@ from player.window.parts import WindowParts
 
 Span = tuple[float, float]
 Box = tuple[float, float, float, float]
+Value = TypeVar("Value")
 # letters' heights at which a tooltip's line ends
 TIP_WIDTH = 22.0
 
@@ -47,6 +49,11 @@ class Widgets:
             imgui.text_unformatted(tip)
             imgui.pop_text_wrap_pos()
             imgui.end_tooltip()
+
+    def _changed(self, found: tuple[bool, Value], name: str, tip: str) -> Value | None:
+        """The new value of the last widget, from Dear ImGui's answer."""
+        self._done(name, tip)
+        return found[1] if found[0] else None
 
     # -- buttons
 
@@ -86,40 +93,29 @@ class Widgets:
         """One of a short list."""
         if width is not None:
             imgui.set_next_item_width(width)
-        changed, chosen = imgui.combo(f"{label}##{name}", chosen, list(known))
-        self._done(name or label, tip)
-        return chosen if changed else None
+        return self._changed(imgui.combo(f"{label}##{name}", chosen, list(known)), name or label, tip)
 
     def slider(
         self, label: str, value: float, span: Span, tip: str, *, name: str = "", form: str = "%.0f deg"
     ) -> float | None:
-        changed, value = imgui.slider_float(f"{label}##{name}", value, *span, form)
-        self._done(name or label, tip)
-        return value if changed else None
+        return self._changed(imgui.slider_float(f"{label}##{name}", value, *span, form), name or label, tip)
 
     def scrubber(self, frame: int, last: int, tip: str) -> int | None:
         """The long slider of the timeline."""
         imgui.set_next_item_width(-1)
-        changed, frame = imgui.slider_int("##scrub", frame, 0, last, "")
-        self._done("scrub", tip)
-        return frame if changed else None
+        return self._changed(imgui.slider_int("##scrub", frame, 0, last, ""), "scrub", tip)
 
     def numbers(self, label: str, values: Sequence[float], tip: str, *, name: str) -> list[float] | None:
         """Three numbers that are dragged or typed."""
-        changed, values = imgui.drag_float3(f"{label}##{name}", [float(v) for v in values], 0.01, -100.0, 100.0, "%.2f")
-        self._done(name, tip)
-        return values if changed else None
+        numbers = [float(value) for value in values]
+        return self._changed(imgui.drag_float3(f"{label}##{name}", numbers, 0.01, -100.0, 100.0, "%.2f"), name, tip)
 
     def number(self, label: str, value: float, tip: str, *, name: str) -> float | None:
         """A number to type, or to step by one or by five."""
-        changed, value = imgui.input_float(f"{label}##{name}", value, 1.0, 5.0, "%.2f")
-        self._done(name, tip)
-        return value if changed else None
+        return self._changed(imgui.input_float(f"{label}##{name}", value, 1.0, 5.0, "%.2f"), name, tip)
 
-    def color(self, label: str, color: Sequence[float], tip: str, *, name: str = "") -> list[float] | None:
-        changed, color = imgui.color_edit3(f"{label}##{name}", list(color))
-        self._done(name or label, tip)
-        return color if changed else None
+    def color(self, label: str, color: Sequence[float], tip: str, *, name: str) -> list[float] | None:
+        return self._changed(imgui.color_edit3(f"{label}##{name}", list(color)), name, tip)
 
     def field(self, label: str, text: str, tip: str, *, hint: str = "") -> str:
         """A field of text; what is in it now."""

@@ -9,6 +9,7 @@ from pythonosc.osc_message_builder import OscMessageBuilder
 
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS
+from player.draw.drawing import Pose
 from player.live.calibration import identity_calibration, pose_from_rig
 from player.live.frame import Counters
 from player.live.osc import LARGEST, MOST_MESSAGES, Message, OscError, build_bundle, build_message, parse_packet
@@ -63,7 +64,7 @@ def test_the_arm_rises_the_root_moves_the_pelvis_and_the_leg_is_measured():
     # ours: -90 degrees about y takes +z to -x
     assert np.allclose(pose.root, [-1 - 2, 1, 0], atol=1e-6)
     assert np.allclose(pose.axis_angle[0], [0, -np.pi / 2, 0], atol=1e-6)
-    packet = VmcEncoder(BODY.joints).encode(*random_pose(), 0.0)
+    packet = VmcEncoder(BODY.joints).encode(Pose(*random_pose()), 0.0)
     leg = rig_from_state(decoded(packet)[0].content).leg
     assert abs(leg - (-BODY.joints[[7, 8], 1].mean())) < 0.03 * leg  # legs of the rest pose are almost straight
     assert leg_length(np.zeros((52, 3))) is None
