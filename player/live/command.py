@@ -58,48 +58,26 @@ def _address(text: str, kinds: tuple[str, ...]) -> Address:
 
 @dataclass(frozen=True)
 class LiveCommand:
-    live: Annotated[
-        Address | None,
-        LIVE,
-        Option(metavar="vmc:PORT|udp:PORT|ws:PORT|...", parse=source),
+    live: Annotated[Address | None, LIVE, Option(metavar="vmc:PORT|udp:PORT|ws:PORT|...", parse=source),
         "pose by what arrives: VMC (usual port 39539), our JSON over UDP or WebSocket, or a face alone: ifacialmocap, "
-        "livelinkface, openseeface; this machine only, unless HOST:PORT names another interface (0.0.0.0: all)",
-    ] = None
-    smooth: Annotated[
-        float | None,
-        LIVE.rare,
-        AtLeast(0.01),
-        AtMost(1000),
-        Option(metavar="HZ", const=LEAST),
-        f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})",
-    ] = None
-    calibrate: Annotated[
-        float | None,
-        LIVE.rare,
-        AtLeast(0),
-        AtMost(3600),
-        Option(metavar="S"),
-        "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)",
-    ] = None
-    grimace: Annotated[
-        bool, LIVE.rare, "from the first face on pull faces for 5 seconds: each shape then goes from 0 to 1"
-    ] = False
-    record: Annotated[
-        str | None, LIVE.rare, Option(metavar="FILE.npz"), "write what came as an AMASS pose file at the end"
-    ] = None
+        "livelinkface, openseeface; this machine only, unless HOST:PORT names another interface (0.0.0.0: all)"] = None
+    smooth: Annotated[float | None, LIVE.rare, AtLeast(0.01), AtMost(1000), Option(metavar="HZ", const=LEAST),
+        f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})"] = None
+    calibrate: Annotated[float | None, LIVE.rare, AtLeast(0), AtMost(3600), Option(metavar="S"),
+        "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)"] = None
+    grimace: Annotated[bool, LIVE.rare,
+        "from the first face on pull faces for 5 seconds: each shape then goes from 0 to 1"] = False
+    record: Annotated[str | None, LIVE.rare, Option(metavar="FILE.npz"),
+        "write what came as an AMASS pose file at the end"] = None
 
 
 @dataclass(frozen=True)
 class StreamCommand:
     motion: Annotated[str, Option(positional=True, metavar="MOTION"), "pose file (.npz, .bvh), or: counting, walking"]
-    to: Annotated[
-        Address,
-        Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
-        "VMC or our JSON; HOST may be left out: this machine",
-    ]
-    rate: Annotated[
-        float | None, AtLeast(0.1), AtMost(FASTEST), Option(metavar="R"), "poses a second (default: the motion's)"
-    ] = None
+    to: Annotated[Address, Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
+        "VMC or our JSON; HOST may be left out: this machine"]
+    rate: Annotated[float | None, AtLeast(0.1), AtMost(FASTEST), Option(metavar="R"),
+        "poses a second (default: the motion's)"] = None
     loop: Annotated[bool, "start over at the end, until stopped"] = False
     body: Annotated[str | None, Option(metavar="MODEL"), "SMPL+H model (.npz) that the pose file was made for"] = None
 

@@ -32,11 +32,7 @@ def live_session(address: Address, options: LiveCommand, avatars: Sequence[Avata
         listener = listen(address, inbox)
         ending.callback(listener.close)
         playback = LivePlayback(
-            inbox,
-            listener.address,
-            avatars,
-            smooth=options.smooth,
-            calibrate_after=options.calibrate,
+            inbox, listener.address, avatars, smooth=options.smooth, calibrate_after=options.calibrate,
             gains=Gains() if options.grimace else None,
         )
         if take is not None:
