@@ -27,16 +27,16 @@ class Calibration(NamedTuple):
     parent_rest: Float[np.ndarray, "52 4"]  # W
 
 
-def identity_calibration() -> Calibration:
-    """Of a normalised rig: every bone is identity in the T-pose."""
-    identity = np.tile([0.0, 0, 0, 1], (52, 1))
-    return Calibration(identity, identity.copy())
+IDENTITY = np.tile([0.0, 0, 0, 1], (52, 1))
+IDENTITY.setflags(write=False)
+# of a rig whose bones are identity in the T-pose
+NORMALISED = Calibration(IDENTITY, IDENTITY)
 
 
 def calibrated(t_pose: VmcRig) -> Calibration:
     """The calibration of a rig that stands in the T-pose, facing where it should face in our pose 0."""
     world = t_pose.rotations.copy()
-    parent_rest = np.tile([0.0, 0, 0, 1], (52, 1))
+    parent_rest = IDENTITY.copy()
     for joints in DEPTHS:
         parent_rest[joints] = world[PARENTS[joints]]
         world[joints] = quaternion_product(parent_rest[joints], t_pose.rotations[joints])

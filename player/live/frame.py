@@ -3,6 +3,13 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+# seconds; a sender's clock set back by more was restarted, by less its datagram came late
+RESTART = 1.0
+
+
+class MalformedError(ValueError):
+    """The bytes are nothing that the protocol sends."""
+
 
 class LiveFrame(NamedTuple):
     """What a decoder made of one or more datagrams."""

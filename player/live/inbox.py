@@ -8,12 +8,12 @@ follows `received`. A take is made of them.
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from player.draw.drawing import Pose
-from player.live.calibration import calibrated, identity_calibration, pose_from_rig
+from player.live.calibration import NORMALISED, calibrated, pose_from_rig
 from player.live.face_sender import FaceDecoder, SentFace
-from player.live.frame import Counters, Decoded, LiveFrame
+from player.live.frame import Counters, Decoded, LiveFrame, MalformedError
 from player.live.ifacialmocap import parse_ifacialmocap
 from player.live.json_pose import JsonDecoder, JsonPose
 from player.live.livelinkface import parse_livelinkface
@@ -28,14 +28,8 @@ JUMP = 1.0
 SILENT = 1.0  # seconds without a datagram
 
 
-class Decoder(Protocol):
-    """Makes frames of the datagrams of one protocol."""
-
-    largest: int  # bytes
-
-    def decode(self, data: bytes | str, received: float | int, counters: Counters, /) -> Decoded | None: ...
-
-
+# what makes frames of the datagrams of a protocol, of at most `largest` bytes
+Decoder = VmcDecoder | JsonDecoder | FaceDecoder
 # by the kind of an address (player/scene/address.py)
 DECODERS: dict[str, Callable[[], Decoder]] = {
     "vmc": VmcDecoder,
@@ -65,7 +59,7 @@ class Inbox:
         self.decoder = DECODERS[kind]()
         self.counters = Counters()
         self.take = take
-        self.calibration = identity_calibration()
+        self.calibration = NORMALISED
         self.newest: LiveFrame | None = None
         self.arrivals: deque[float] = deque(maxlen=64)
         self.start: tuple[float, float] | None = None  # sender's clock and ours at a common moment
@@ -77,7 +71,11 @@ class Inbox:
             if len(data) > self.decoder.largest:
                 self.counters.oversized += 1
                 return
-            found = self.decoder.decode(data, received, self.counters)
+            try:
+                found = self.decoder.decode(data, received, self.counters)
+            except MalformedError:
+                self.counters.malformed += 1
+                return
             if found is not None:
                 self._accept(found, received)
 

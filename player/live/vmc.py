@@ -28,11 +28,9 @@ from avatar.rotation import matrix_from_quaternion, quaternion_from_axis_angle
 from avatar.skeleton import PARENTS
 from player.draw.drawing import Pose
 from player.live.face_sender import sent_face
-from player.live.frame import Counters, Decoded
-from player.live.osc import LARGEST, Message, OscError, build_bundle, build_message, parse_packet
+from player.live.frame import RESTART, Counters, Decoded
+from player.live.osc import LARGEST, Message, build_bundle, build_message, parse_packet
 
-# seconds; a clock set back by more was restarted, by less its datagram came late
-RESTART = 1.0
 # datagrams, to know a repeated one
 REMEMBERED = 16
 # names of expressions that are held
@@ -103,13 +101,8 @@ class VmcDecoder:
 
     def decode(self, data: bytes | str, _received: float | int, counters: Counters) -> Decoded | None:
         """The state after this datagram; None where it held no bone and no face or is not used (see the counters)."""
-        try:
-            assert isinstance(data, bytes)
-            messages = parse_packet(data)
-        except OscError:
-            counters.malformed += 1
-            return None
-        clock, found, root, blends, bad = self._read(messages)
+        assert isinstance(data, bytes)
+        clock, found, root, blends, bad = self._read(parse_packet(data))
         if clock is not None and self._is_old(data, clock, counters):
             return None
         restarted = clock is not None and self.clock is not None and clock < self.clock - RESTART

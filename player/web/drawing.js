@@ -237,20 +237,18 @@ class Drawing {
     return this.targets.get(key).framebuffer;
   }
 
-  forget() {
-    for (const { framebuffer, attached } of this.targets.values()) {
-      this.gl.deleteFramebuffer(framebuffer);
-      attached.forEach((buffer) => this.gl.deleteRenderbuffer(buffer));
-    }
-    this.targets.clear();
-  }
-
   // One frame of width x height pixels into a framebuffer of its own, which is returned. rung: {view, level, halvings, joints};
   // camera: {target, distance, azimuth, elevation, fov}; background: three numbers of [0, 1]. The level is loaded.
   frame(pose, camera, rung, width, height, background, samples = 0) {
     const gl = this.gl, { level = 0, halvings = 0, joints = 4 } = rung;
     // a window that is dragged larger leaves no pile of them; here, where nobody holds one
-    if (this.targets.size > 12) this.forget();
+    if (this.targets.size > 12) {
+      for (const { framebuffer, attached } of this.targets.values()) {
+        gl.deleteFramebuffer(framebuffer);
+        attached.forEach((buffer) => gl.deleteRenderbuffer(buffer));
+      }
+      this.targets.clear();
+    }
     // a level without features has the paper's colors
     const view = this.avatar.levels[level].features ? rung.view : "off";
     const into = this.target(width, height, samples), array = this.array(level, view, joints), program = this.program(view, joints);

@@ -83,7 +83,9 @@ def packed_level(avatar: Avatar, number: int, *, faced: bool = False) -> Packed:
         _bytes("weights", skin["weights"]),
         ("faces", {"kind": "indices", "count": faces.size}, _differences(faces.reshape(-1, 1).astype(np.int64), 4)),
     ]
-    blobs, face = {f"{named}.color": lossless_webp(level.base_color)}, {}
+    color, face = io.BytesIO(), {}
+    Image.fromarray(level.base_color).save(color, "WEBP", lossless=True, quality=60, method=4, exact=True)
+    blobs = {f"{named}.color": color.getvalue()}
     if faced and level.face is not None and avatar.eyes:
         face["face"], blobs[f"{named}.face"], slots = packed_face(level, avatar.eyes)
         slots = slots[order].astype(np.int64)[:, None]
@@ -135,12 +137,6 @@ def packed_motion(clip: Clip) -> Packed:
         _, facts["face"], rows = _range("face", np.concatenate([clip.face, clip.gaze.reshape(-1, 4)], axis=1), COARSE)
         data += rows
     return Packed(facts, {"motion": zlib.compress(data, 9)})
-
-
-def lossless_webp(image: UInt8[np.ndarray, "height width 3"]) -> bytes:
-    out = io.BytesIO()
-    Image.fromarray(image).save(out, "WEBP", lossless=True, quality=60, method=4, exact=True)
-    return out.getvalue()
 
 
 def paeth(image: UInt8[np.ndarray, "height width planes"]) -> bytes:

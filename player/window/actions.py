@@ -113,10 +113,6 @@ def posed(act: Callable[["PoseEdit"], object]) -> Callable[["WindowParts"], None
     return do
 
 
-def is_dragging(parts: "WindowParts") -> bool:
-    return parts.posing.edit is not None and parts.posing.edit.tool.held is not None
-
-
 PLAY = Action("play or pause", ("space",), timed(lambda line: line.toggle()))
 STEP_BACK = Action("pause and go one frame back", (",",), timed(lambda line: line.step(-1)))
 STEP_ON = Action("pause and go one frame on", (".",), timed(lambda line: line.step(1)))
@@ -163,7 +159,10 @@ UNDO = Action("undo (500 steps)", ("ctrl+z",), posed(lambda edit: edit.undo()))
 REDO = Action("redo", ("ctrl+shift+z", "ctrl+y"), posed(lambda edit: edit.redo()))
 MIRROR = Action("mirror the pose; place and heading stay", ("m",), posed(lambda edit: edit.session.mirror()))
 TO_GROUND = Action("set the body on the ground", ("n",), posed(lambda edit: edit.to_ground()))
-GIVE_UP = Action("give up the drag", ("escape",), posed(lambda edit: edit.tool.cancel()), when=is_dragging)
+GIVE_UP = Action(
+    "give up the drag", ("escape",), posed(lambda edit: edit.tool.cancel()),
+    when=lambda parts: parts.posing.edit is not None and parts.posing.edit.tool.held is not None,
+)  # fmt: skip
 CLOSE_HELP = Action("close the list of keys", ("escape",), toggle_help, when=lambda parts: parts.state.layout.help_on)
 
 VIDEO = KeyGroup("Source video", (WIPE_LEFT, WIPE_RIGHT), lambda parts: parts.wipe is not None)

@@ -31,20 +31,15 @@ class Appearance:
 
     def show(self, rung: Rung) -> None:
         """Draw as a rung says, but for its share of pixels; where that cannot be, it is said and nothing changes."""
-        self._change(replace(self.effects, view=rung.view), self.background, rung)
+        self.change(effects=replace(self.effects, view=rung.view), rung=rung)
 
     def change(
-        self, *, effects: Effects | None = None, background: Background | None = None, level: int | None = None
-    ) -> bool:
-        """Other effects, background or level of detail. Whether it is drawn; else this is said, and nothing changes."""
-        rung = self.rung if level is None or level == self.rung.level else Rung("by hand", self.effects.view, level)
-        return self._change(effects or self.effects, background or self.background, rung)
-
-    def renew(self) -> bool:
-        """Make what is drawn anew: avatars are others, or otherwise chosen. Whether they can be drawn so."""
-        return self._change(self.effects, self.background, self.rung, anew=True)
-
-    def _change(self, effects: Effects, background: Background, rung: Rung, *, anew: bool = False) -> bool:
+        self, *, effects: Effects | None = None, background: Background | None = None, rung: Rung | None = None,
+        anew: bool = False,
+    ) -> bool:  # fmt: skip
+        """Other effects, background or detail; `anew` where avatars are others. Whether it is drawn; else this is said,
+        and nothing changes."""
+        effects, background, rung = effects or self.effects, background or self.background, rung or self.rung
         try:
             if anew or replace(rung, name=self.rung.name, view=self.rung.view) != self.rung:
                 new = self._new_renderer(effects, background, rung)

@@ -143,7 +143,7 @@ def put_avatar(parts: "WindowParts", index: int, entry: SceneAvatar) -> bool:
     before = state.avatars[index], state.playback.tracks[index]
     track.start, track.at, track.turn = before[1].start, before[1].at, before[1].turn
     state.avatars[index], state.playback.tracks[index] = avatar, track
-    if not parts.look.renew():
+    if not parts.look.change(anew=True):
         state.avatars[index], state.playback.tracks[index] = before
         return False
     state.selection.names[index] = Path(entry.path).stem

@@ -86,10 +86,6 @@ class PoseTool:
         return selection.joint if selection.avatar == self.index else None
 
     @property
-    def _camera(self) -> Camera | None:
-        return self.state.last.camera
-
-    @property
     def _scale(self) -> float:
         """Pixels a window unit."""
         return self.state.layout.screen.scale
@@ -116,7 +112,7 @@ class PoseTool:
 
     def under(self, x: float, y: float) -> PullHandle | None:
         """The handle at a pixel; those of ends come first."""
-        camera = self._camera
+        camera = self.state.last.camera
         # nothing is seized that is not shown
         if camera is None or not self.state.layout.panels_drawn:
             return None
@@ -132,7 +128,7 @@ class PoseTool:
 
     def press(self, x: float, y: float) -> bool:
         """Take hold of a handle; False where there is none."""
-        camera, found = self._camera, self.under(x, y)
+        camera, found = self.state.last.camera, self.under(x, y)
         if camera is None or found is None:
             return False
         places = self._places()
@@ -143,7 +139,7 @@ class PoseTool:
 
     def drag(self, x: float, y: float) -> None:
         """Move what is held."""
-        held, camera = self.held, self._camera
+        held, camera = self.held, self.state.last.camera
         if held is None or camera is None or held.handle is None or held.pressed is None or held.offset is None:
             return
         if not held.moved and np.hypot(x - held.pressed[0], y - held.pressed[1]) <= CLICK * self._scale:
@@ -193,7 +189,7 @@ class PoseTool:
 
     def pick(self, x: float, y: float) -> bool:
         """A click beside handles: the joint whose dot is there; False: let the picture decide."""
-        camera = self._camera
+        camera = self.state.last.camera
         if camera is None:
             return False
         near = picked_joint(self._places()[:22], camera, np.array([x, y], np.float64), 5.0 * self._scale)

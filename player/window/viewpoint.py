@@ -46,17 +46,18 @@ class Viewpoint:
         """How far the orbit has gone along, metres."""
         if self._part is not None:
             index, joint, place = self._part
-            return self._joints(index)[joint, :3, 3] - place
+            return self.joints(index)[joint, :3, 3] - place
         return (self.state.last.poses[0][1] - self._start) * FLAT if self.follow else None
 
-    def _joints(self, index: int) -> Float[np.ndarray, "52 4 4"]:
+    def joints(self, index: int) -> Float[np.ndarray, "52 4 4"]:
+        """world_from_joint of an avatar in the last frame."""
         axis_angle, root, _ = self.state.last.poses[index]
         return joint_transforms(axis_angle, self.state.avatars[index].joint_positions.astype(np.float64), root)
 
     def show_part(self, joint: int, middle: int) -> None:
         """Look from the front at what a joint of the selected avatar moves; go along with the joint in its middle."""
         index = self.state.selection.avatar
-        avatar, joints, below = self.state.avatars[index], self._joints(index), [joint]
+        avatar, joints, below = self.state.avatars[index], self.joints(index), [joint]
         # a child has a higher number than its parent
         for child in range(joint, len(PARENTS)):
             below += [child] * (PARENTS[child] in below)

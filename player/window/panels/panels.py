@@ -182,7 +182,6 @@ class Panels:
             key_list(self._parts)
         if self._parts.opening.listed:
             open_panel(self.ui, self._parts)
-        self.ui.end()
         imgui.render()
         self._lists.draw(imgui.get_draw_data(), screen, size)
 
@@ -192,7 +191,7 @@ class Panels:
         side, bottom = SIDE * letter, BOTTOM * letter
         ui, parts, edit = self.ui, self._parts, self._parts.posing.edit
         if edit is None:
-            joint_mark(parts.state)
+            joint_mark(parts)
         else:
             pose_overlay(edit.tool, parts.state)
             rings(edit, parts.state)
@@ -216,8 +215,8 @@ class Panels:
     def _panel(self, name: str, place: tuple[float, float, float, float], draw: Callable[[], None]) -> None:
         """A panel at a place: left, top, width, height in window units."""
         left, top, width, height = place
-        imgui.set_next_window_pos(imgui.ImVec2(left, top))
-        imgui.set_next_window_size(imgui.ImVec2(width, max(height, 1.0)))
+        imgui.set_next_window_pos((left, top))
+        imgui.set_next_window_size((width, max(height, 1.0)))
         if imgui.begin(f"##{name}", None, FIXED | imgui.WindowFlags_.no_title_bar)[0]:
             imgui.push_item_width(-LABEL * LETTER * self._scale)
             draw()
@@ -239,6 +238,6 @@ def _set_style(scale: float) -> None:
     style.font_size_base, style.font_scale_dpi = LETTER, scale
     style.scale_all_sizes(scale)
     style.window_rounding = style.frame_rounding = 3 * scale
-    style.set_color_(imgui.Col_.window_bg, imgui.ImVec4(0.11, 0.12, 0.14, 0.97))
-    style.set_color_(imgui.Col_.popup_bg, imgui.ImVec4(0.11, 0.12, 0.14, 1.0))
-    style.set_color_(imgui.Col_.frame_bg, imgui.ImVec4(0.2, 0.22, 0.26, 1.0))
+    style.set_color_(imgui.Col_.window_bg, (0.11, 0.12, 0.14, 0.97))
+    style.set_color_(imgui.Col_.popup_bg, (0.11, 0.12, 0.14, 1.0))
+    style.set_color_(imgui.Col_.frame_bg, (0.2, 0.22, 0.26, 1.0))

@@ -4,6 +4,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from command.progress import plural
+from player.budget.rung import Rung
 from player.live.latency import SPANS
 from player.live.playback import LivePlayback
 from player.scene.track import Track
@@ -66,7 +67,7 @@ def _source(live: LivePlayback) -> None:
     else:
         imgui.text(f"{facts.rate:.0f} poses/s, the newest {1000 * facts.age:.0f} ms old")
         if not facts.tracking:
-            imgui.text_colored(imgui.ImVec4(1.0, 0.6, 0.3, 1.0), "the sender lost its tracking")
+            imgui.text_colored((1.0, 0.6, 0.3, 1.0), "the sender lost its tracking")
     counts = {name: n for name, n in vars(facts.counters).items() if n or name in ("frames", "lost")}
     imgui.text_disabled(", ".join(f"{name} {n}" for name, n in counts.items()))
     spans = live.latency.percentiles()
@@ -149,4 +150,4 @@ def more_panel(ui: Widgets, parts: WindowParts) -> None:
         tip = "Level of detail: fewer triangles are faster."
         chosen = ui.choice("detail", min(look.rung.level, levels - 1), names, tip)
         if chosen is not None:
-            look.change(level=chosen)
+            look.change(rung=Rung("by hand", look.effects.view, chosen))

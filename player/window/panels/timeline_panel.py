@@ -44,6 +44,4 @@ def _scrubber(ui: Widgets, parts: WindowParts) -> None:
     draw = imgui.get_window_draw_list()
     for seconds, _ in parts.viewpoint.cameras.keys:
         x = low.x + (high.x - low.x) * seconds / line.duration
-        draw.add_triangle_filled(
-            imgui.ImVec2(x - 4, low.y - 1), imgui.ImVec2(x + 4, low.y - 1), imgui.ImVec2(x, low.y + 6), MARK
-        )
+        draw.add_triangle_filled((x - 4, low.y - 1), (x + 4, low.y - 1), (x, low.y + 6), MARK)

@@ -24,26 +24,21 @@ class Widgets:
     """The widgets of one window, and where those of the last frame were."""
 
     def __init__(self):
-        # left, top, right and bottom of each widget of the last frame with its label, window units, and its tooltip
-        self.boxes: dict[str, Box] = {}
-        self.tips: dict[str, str] = {}
-        self._placing: dict[str, Box] = {}
-        self._tipping: dict[str, str] = {}
         # triangles that show what is under them
         self._unfolded: set[str] = set()
+        self.begin()
 
     def begin(self) -> None:
-        self._placing, self._tipping = {}, {}
-
-    def end(self) -> None:
-        """The frame is complete: scripts find what it has."""
-        self.boxes, self.tips = self._placing, self._tipping
+        """A new frame."""
+        # left, top, right and bottom of each widget of the frame with its label, window units, and its tooltip
+        self.boxes: dict[str, Box] = {}
+        self.tips: dict[str, str] = {}
 
     def _done(self, name: str, tip: str) -> None:
         """The last widget is `name`; `tip` is shown while the pointer rests on it."""
         low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-        self._placing[name] = (low.x, low.y, high.x, high.y)
-        self._tipping[name] = tip
+        self.boxes[name] = (low.x, low.y, high.x, high.y)
+        self.tips[name] = tip
         if tip and imgui.begin_item_tooltip():
             imgui.push_text_wrap_pos(TIP_WIDTH * imgui.get_font_size())
             imgui.text_unformatted(tip)
@@ -65,7 +60,7 @@ class Widgets:
             _stay_on_line(text, width)
         color = imgui.Col_.button_active if on else imgui.Col_.button
         imgui.push_style_color(imgui.Col_.button, imgui.get_style().color_(color))
-        pressed = imgui.button(f"{text}##{name}", imgui.ImVec2(width, 0))
+        pressed = imgui.button(f"{text}##{name}", (width, 0))
         imgui.pop_style_color()
         self._done(name or text.lower(), tip)
         return pressed
@@ -148,7 +143,7 @@ class Widgets:
 
     def triangle(self, name: str, tip: str) -> bool:
         """Before the next widget of the line: shows or hides what is under it; whether that is to be drawn."""
-        imgui.push_style_color(imgui.Col_.button, imgui.ImVec4(0, 0, 0, 0))
+        imgui.push_style_color(imgui.Col_.button, (0, 0, 0, 0))
         if imgui.arrow_button(f"##{name}", imgui.Dir.down if name in self._unfolded else imgui.Dir.right):
             self._unfolded ^= {name}
         imgui.pop_style_color()
@@ -158,7 +153,7 @@ class Widgets:
 
     def no_triangle(self) -> None:
         """The room of one, so that lists without numbers stand below those with them."""
-        imgui.dummy(imgui.ImVec2(imgui.get_frame_height(), imgui.get_frame_height()))
+        imgui.dummy((imgui.get_frame_height(), imgui.get_frame_height()))
         imgui.same_line(0, imgui.get_style().item_inner_spacing.x)
 
     def fold(self, title: str, tip: str, rows: Callable[[], None]) -> None:

@@ -15,9 +15,10 @@ from avatar.skeleton import JOINT_NUMBERS as J
 from player.draw.drawing import Pose
 from player.live.command import encoder, timed_poses
 from player.live.face_sender import with_head
+from player.live.frame import MalformedError
 from player.live.gains import Gains
 from player.live.inbox import Inbox
-from player.live.json_pose import PoseError, build_pose, parse_pose
+from player.live.json_pose import build_pose, parse_pose
 from player.live.openseeface import FEATURES, HEAD, SIZE
 from player.live.osc import build_bundle, build_message
 from player.live.playback import LivePlayback
@@ -125,7 +126,7 @@ def test_values_of_vmc_hold_until_the_next_apply_and_come_with_or_without_bones(
     "face", ["[1]", '{"jawOpen": 1.5}', '{"jawOpen": true}', '{"jawOpen": "1"}', '{"jawOpen": NaN}']
 )
 def test_a_face_in_json_that_is_none_is_refused(face):
-    with pytest.raises(PoseError):
+    with pytest.raises(MalformedError):
         parse_pose(json_pose({}).replace(b'"face":{}', b'"face":' + face.encode()))
     assert parse_pose(json_pose({"what": 1.0})).pose.face.weights.max() == 0
     assert parse_pose(json_pose({}).replace(b'"face":{}', b'"face":null')).pose.face is None

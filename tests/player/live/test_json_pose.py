@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from player.draw.drawing import Pose
-from player.live.frame import Counters
+from player.live.frame import Counters, MalformedError
 from player.live.inbox import Inbox
-from player.live.json_pose import REORDERED, JsonDecoder, PoseError, build_pose, parse_pose
+from player.live.json_pose import REORDERED, JsonDecoder, build_pose, parse_pose
 from player.live.osc import build_bundle, build_message
 from player.live.take import Take
 
@@ -60,7 +60,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_is_no_pose_is_refused(case):
-    with pytest.raises(PoseError):
+    with pytest.raises(MalformedError):
         parse_pose(REFUSED[case])
 
 
