@@ -49,6 +49,15 @@ class Opening:
         self.listed = False
         self.recent: list[str] = []
         self.files: list[tuple[Path, str]] = []
+        # what each avatar's file was when it was shown
+        self.stamps: dict[str, Stamp | None] = {}
+        self.due()
+
+    def due(self) -> list[int]:
+        """The avatars whose file is another one than was shown last, where files are followed."""
+        paths = [(k, entry.path) for k, entry in enumerate(self.scene.avatars) if self.show.followed]
+        files = [(k, path, stamp_of(Path(path))) for k, path in paths if path not in BUILTIN_AVATARS]
+        return [k for k, path, stamp in files if stamp not in (None, self.stamps.setdefault(path, stamp))]
 
     def toggle(self) -> None:
         self.listed = not self.listed
@@ -180,31 +189,17 @@ def _put_behind(parts: "WindowParts", kind: str, path: str) -> bool:
     return parts.look.change(effects=effects, background=Background(BACKGROUNDS[kind], path=path))
 
 
-class Renewal:
-    """The files of what is shown, looked at again and again; camera, time, place and hand-made poses stay."""
-
-    def __init__(self, opening: Opening):
-        self._opening = opening
-        # what each file was when it was shown
-        self._shown: dict[str, Stamp | None] = {}
-        self.due()
-
-    def due(self) -> list[int]:
-        """The avatars whose file is another one than was shown last."""
-        entries = [(k, entry.path) for k, entry in enumerate(self._opening.scene.avatars)]
-        files = [(k, path, stamp_of(Path(path))) for k, path in entries if path not in BUILTIN_AVATARS]
-        return [k for k, path, stamp in files if stamp not in (None, self._shown.setdefault(path, stamp))]
-
-    def take(self, parts: "WindowParts") -> None:
-        """Show what is due; a file that cannot be read is named, and the avatar stays as it is."""
-        for k in self.due():
-            entry = self._opening.scene.avatars[k]
-            self._shown[entry.path] = stamp_of(Path(entry.path))
-            try:
-                if put_avatar(parts, k, entry):
-                    parts.state.messages.say(f"{entry.path}: a new one is shown")
-            except AssetError as error:
-                parts.state.messages.say(str(error))
+def renew(parts: "WindowParts") -> None:
+    """Show avatars whose files were replaced; camera, time, place and hand-made poses stay. A file that cannot be read
+    is named, and its avatar stays as it is."""
+    for k in parts.opening.due():
+        entry = parts.opening.scene.avatars[k]
+        parts.opening.stamps[entry.path] = stamp_of(Path(entry.path))
+        try:
+            if put_avatar(parts, k, entry):
+                parts.state.messages.say(f"{entry.path}: a new one is shown")
+        except AssetError as error:
+            parts.state.messages.say(str(error))
 
 
 def stamp_of(file: Path) -> Stamp | None:

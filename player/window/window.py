@@ -21,7 +21,7 @@ from player.scene.opened import opened_avatars
 from player.scene.scene_file import read_scene
 from player.window.budgeted import Budgeted
 from player.window.keyboard import Keyboard
-from player.window.opening import Renewal, kind_of, open_file
+from player.window.opening import kind_of, open_file, renew
 from player.window.panels.panels import Panels
 from player.window.parts import WindowParts
 from player.window.pointer import Pointer
@@ -70,7 +70,6 @@ class Window:
 
     def _begin(self, parts: WindowParts, *, panels: bool) -> None:
         self.parts = parts
-        self.renewal = Renewal(parts.opening) if parts.opening.show.followed else None
         self.keyboard, self.pointer = Keyboard(parts), Pointer(parts)
         parts.state.layout.panels_on = panels
         self.panels = Panels(parts)
@@ -169,8 +168,7 @@ class Window:
             return
         self._open_asked()
         parts, last = self.parts, self.parts.state.last
-        if self.renewal is not None:
-            self.renewal.take(parts)
+        renew(parts)
         screen = self.screen.begin()
         for track in parts.state.playback.tracks:
             track.foot_lock = parts.look.effects.foot_lock
@@ -271,7 +269,7 @@ class Window:
             glfw.wait_events_timeout(STILL)
             stop.check()
             changed = self._stirred != before or self.parts.state.messages.shown != shown
-            changed |= self.renewal is not None and bool(self.renewal.due())
+            changed |= bool(self.parts.opening.due())
             # a tooltip waits for the pointer to rest, a text field blinks
             if changed or self.clock() - self._stirred < LINGER or self.panels.typing or self._ends:
                 break

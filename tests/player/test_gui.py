@@ -86,9 +86,8 @@ def test_the_long_slider_scrubs_and_lists_open_over_the_picture(window):
     assert abs(middle - window.parts.state.timeline.frames / 2) < 5
     run(window, f"drag:{x}:{y}:{x + 5000}:{y}")
     assert window.parts.state.timeline.frame == window.parts.state.timeline.frames - 1
-    assert (
-        window.parts.viewpoint.cameras.orbit.azimuth == window.parts.viewpoint.cameras.orbit.home[2]
-    )  # the camera did not turn along
+    orbit = window.parts.viewpoint.cameras.orbit
+    assert orbit.azimuth == orbit.home[2]  # the camera did not turn along
     run(window, "press:speed wait")
     x, y = window.panels.places["speed"]
     run(window, f"click:{x}:{y - 30} wait")

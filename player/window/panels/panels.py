@@ -5,6 +5,7 @@ function in its own file, of the widgets (player/window/panels/widgets.py) and o
 """
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -210,7 +211,7 @@ class Panels:
         # a button on the left begins and ends it
         edit = parts.posing.edit
         if edit is not None:
-            self._panel("right", (wide - side, 0.0, side, high - bottom), lambda: self._posing.draw(edit))
+            self._panel("right", (wide - side, 0.0, side, high - bottom), partial(self._posing.draw, edit))
 
     def _panel(self, name: str, place: tuple[float, float, float, float], draw: Callable[[], None]) -> None:
         """A panel at a place: left, top, width, height in window units."""
