@@ -27,8 +27,8 @@ import capture.keypoints
 from avatar.body import builtin_body
 from avatar.skeleton import JOINTS
 from files.picture import read_picture
+from player.draw.drawing import Pose
 from player.live.command import encoder
-from player.live.frame import LivePose
 from player.live.inbox import DECODERS, Inbox
 from player.pose.library import KeptPose, Library, read_pose
 from train.run import build_field, read_facts, read_part, write_json, write_part
@@ -84,7 +84,7 @@ def _sent(kind: str) -> Format:
         assert shown is None or shown[1].face is None or np.isfinite(shown[1].face.weights).all()
 
     made = {"ifacialmocap": ifacialmocap, "livelinkface": livelinkface, "openseeface": openseeface}
-    pose = LivePose(np.full((len(JOINTS), 3), 0.1), np.zeros(3))
+    pose = Pose(np.full((len(JOINTS), 3), 0.1), np.zeros(3))
     whole = made.get(kind) or (lambda: encoder("vmc" if kind == "vmc" else "udp", builtin_body("male"))(1, 0.5, pose))
     return Format("packet", lambda _: whole(), read, text=kind in ("udp", "ws", "ifacialmocap"))
 

@@ -1,21 +1,24 @@
-"""What this machine can draw with: devices, drivers, the context that wins and why, what is missing, and whether
-every way to OpenGL shows the same frame."""
+"""`selfscan doctor`: what this machine can draw with. Devices, drivers, the context that wins and why, what is missing,
+and whether every way to OpenGL shows the same frame."""
 
 import importlib.metadata
 import json
 import os
 import platform
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, orbit_camera
+from command.command_line import Help, Option, parse
 from command.errors import AssetError
+from files.whole import write_json
 from player.gl.context import Egl, EglDevice, NoContextError, _library, open_context
 
 # what lacks when a library does not load: its package on Debian and Ubuntu, and what it is for
@@ -33,9 +36,33 @@ EXTRAS = {
     "bake": ("xatlas", "fast-simplification", "onnx"), "bench": ("matplotlib", "flip-evaluator"),
     "inspect": ("pyvista",),
 }  # fmt: skip
-
-
 Findings = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class DoctorCommand:
+    compare: Annotated[str | None, Option(metavar="AVATAR", const="mannequin"),
+        "draw one frame (of the built-in body) on EGL, on OSMesa and in a window, and compare them"] = None
+    json: Annotated[Path | None, Option(metavar="FILE"), "write the findings to a file"] = None
+
+
+DOCTOR = Help("selfscan doctor", "Which OpenGL contexts work here, which one wins and why, and what is missing.")
+
+
+def doctor_main(argv: list[str]) -> int:
+    """Print what this machine can draw with."""
+    options = parse(DoctorCommand, argv, DOCTOR)
+    found = findings()
+    print(report(found))
+    worked = found["winner"] is not None
+    if options.compare:
+        result = compare(options.compare)
+        found["compare"] = result
+        print(result["text"])
+        worked = worked and result["equal"]
+    if options.json:
+        write_json(options.json, found)
+    return 0 if worked else 1
 
 
 class Node(NamedTuple):
@@ -188,9 +215,8 @@ def report(found: Findings) -> str:
     return "\n".join(lines)
 
 
-class DrawnFrame(NamedTuple):
-    image: UInt8[np.ndarray, "height width 4"]
-    renderer: str
+# a picture in each view mode, and what drew them
+Drawn = tuple[list[UInt8[np.ndarray, "height width 4"]], str]
 
 
 def compare(avatar_path: str | None = None, size: int = 512) -> Findings:
@@ -205,13 +231,13 @@ def compare(avatar_path: str | None = None, size: int = 512) -> Findings:
     avatar = opened_avatar(avatar_path or "mannequin")
     views = views_of(avatar)
     camera = orbit_camera((0, 0.0, 0), 2.6, 0.5, 0.1, (size, size))
-    ways: dict[str, Callable[[], list[DrawnFrame]]] = {
+    ways: dict[str, Callable[[], Drawn]] = {
         kind: partial(_off_screen, kind, avatar, views, camera) for kind in ("egl", "osmesa")
     }
     if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY"):
         ways["window"] = lambda: _in_window(avatar, views, camera, null=False)
     ways["window on the null platform"] = lambda: _in_window(avatar, views, camera, null=True)
-    shown: dict[str, list[DrawnFrame]] = {}
+    shown: dict[str, Drawn] = {}
     lines, broken = [], []
     for way, draw in ways.items():
         try:
@@ -222,11 +248,11 @@ def compare(avatar_path: str | None = None, size: int = 512) -> Findings:
     drawn = list(shown)
     pairs, worst, share = {}, 0, 0.0
     for a, b in ((drawn[0], other) for other in drawn[1:]):
-        gaps = [difference(x.image, y.image) for x, y in zip(shown[a], shown[b], strict=True)]
+        gaps = [difference(x, y) for x, y in zip(shown[a][0], shown[b][0], strict=True)]
         pairs[f"{a} - {b}"] = {view: gap for view, (gap, _) in zip(views, gaps, strict=True)}
         high, band = max(gap for gap, _ in gaps), max(part for _, part in gaps)
         worst, share = max(worst, high), max(share, band)
-        pair = f"{a} ({shown[a][0].renderer}) and {b} ({shown[b][0].renderer})"
+        pair = f"{a} ({shown[a][1]}) and {b} ({shown[b][1]})"
         outside = f"outside a one-pixel silhouette band ({100 * band:.2f} % of the pixels)"
         lines.append(f"compare: {pair}: at most {high}/255 apart in views {', '.join(views)}, {outside}")
     equal = worst <= 1 and not broken and len(drawn) > 1
@@ -243,29 +269,29 @@ def _pose() -> tuple[np.ndarray, np.ndarray]:
     return axis_angle, np.zeros(3)
 
 
-def _off_screen(kind: str, avatar: Avatar, views: Sequence[str], camera: Camera) -> list[DrawnFrame]:
+def _off_screen(kind: str, avatar: Avatar, views: Sequence[str], camera: Camera) -> Drawn:
     from player.scene.renderer import Renderer
 
     with open_context(kind) as context:
         renderers = [Renderer(context, [avatar], camera.size, view=view) for view in views]
-        return [DrawnFrame(renderer.draw([_pose()], camera), context.renderer) for renderer in renderers]
+        return [renderer.draw([_pose()], camera) for renderer in renderers], context.renderer
 
 
-def _in_window(avatar: Avatar, views: Sequence[str], camera: Camera, *, null: bool) -> list[DrawnFrame]:
+def _in_window(avatar: Avatar, views: Sequence[str], camera: Camera, *, null: bool) -> Drawn:
     from player.scene.renderer import Renderer
     from player.window.screen import Screen
 
     screen = Screen(camera.size, null=null)
     try:
-        (wide, high), (width, height), out = screen.size, camera.size, []
+        (wide, high), (width, height), pictures = screen.size, camera.size, []
         if screen.size != camera.size:
             raise AssetError(f"the window has {wide}x{high} pixels, asked for {width}x{height}")
         for view in views:
             renderer = Renderer(screen.context, [avatar], None, view=view)
             renderer.draw_into(screen.begin(), [_pose()], camera)
-            out.append(DrawnFrame(screen.read((0, 0, width, height)), screen.context.renderer))
+            pictures.append(screen.read((0, 0, width, height)))
             renderer.release()
-        return out
+        return pictures, screen.context.renderer
     finally:
         screen.close()
 

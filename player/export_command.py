@@ -4,23 +4,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-
 from avatar.baked_avatar import Avatar
 from avatar.gltf.animation import write_animated
 from avatar.gltf.vrm_extension import PERMISSIONS, Likeness
 from avatar.gltf.vrm_write import write_vrm
 from avatar.motion.amass import write_amass
 from avatar.motion.bvh_write import write_bvh
-from avatar.motion.clip import Clip, Motion
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
-from command.progress import plural, progress
+from command.progress import plural
 from command.settings import OneOf
 from files.whole import check_file
 from player.scene.arguments import AvatarOption, BodyOption, FramesOption, GroundOption, HandsOption
 from player.scene.framing import pelvis_height
-from player.scene.motions import BLOCK, frame_range, ground_for, motion_for
+from player.scene.motions import frame_range, ground_for, motion_for
 from player.scene.opened import opened_avatar
 
 EXAMPLES = """examples
@@ -115,7 +112,8 @@ def export_motion(options: ExportCommand, avatar: Avatar) -> int:
         if kind == ".bvh":
             write_bvh(out, fitted, avatar.joint_positions, unit=UNITS[options.unit])
         elif kind == ".glb":
-            write_animated(out, options.avatar, _whole(fitted), name=Path(motion.name).stem)
+            # written in one piece
+            write_animated(out, options.avatar, fitted.read(), name=Path(motion.name).stem)
         else:
             write_amass(out, fitted)
     except ValueError as error:
@@ -126,12 +124,3 @@ def export_motion(options: ExportCommand, avatar: Avatar) -> int:
     size = out.stat().st_size / 1e6
     print(f"{out}: {plural(stop - start, 'frame')} at {motion.rate:g} per second ({seconds:.1f} s), {size:.1f} MB")
     return 0
-
-
-def _whole(motion: Motion) -> Clip:
-    """All frames at once: these files are written in one piece."""
-    firsts = range(0, motion.frames, BLOCK)
-    blocks = [motion.read(k, min(k + BLOCK, motion.frames)) for k in progress(firsts, "frames read", len(firsts))]
-    axis_angle, root = np.concatenate([b.axis_angle for b in blocks]), np.concatenate([b.root for b in blocks])
-    faces = (None, None) if motion.faces is None else motion.faces(0, motion.frames)
-    return Clip(axis_angle, root, motion.rate, motion.notes, motion.pelvis_height, *faces)

@@ -24,7 +24,7 @@ from player.scene.address import FACE_SENDERS, PORTS, Address, parse_address
 from player.scene.arguments import CAMERA, LOOKS, MACHINE, TIME, WHO
 from player.scene.effects import Effects
 from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera, side_by_side
-from player.window.help import command_line_help
+from player.window.actions import command_line_help
 
 EXAMPLES = """examples
   selfscan play me.glb                                      the counting motion
@@ -180,7 +180,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
         AssetError: a file cannot be read, or imgui-bundle is not installed.
     """
     from player.live.session import live_session
-    from player.scene.opened import opened_avatars
+    from player.scene.opened import notes_of, opened_avatars
     from player.window.recent import keep_recent
     from player.window.show import opened_show
 
@@ -206,12 +206,12 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
         for path in opened if command.script is None else ():
             keep_recent(path)
         show.followed = command.follow
-        for note in show.notes:
+        for note in notes_of(show.playback.tracks):
             print(note)
         return play(
             show, size=scene.size or (1280, 800), null=command.platform == "null", panels=command.gui,
             script=None if command.script is None else command.script.split(), screenshot=command.screenshot,
-            budget=None if command.budget is None else (command.budget, [entry.path for entry in scene.avatars]),
+            budget=command.budget,
         )  # fmt: skip
 
 

@@ -164,7 +164,7 @@ def _dispatch(name: str, rest: list[str]) -> int:
         elif name == "stream":
             from player.live.command import stream_main as run
         elif name == "doctor":
-            from player.doctor_command import doctor_main as run
+            from player.doctor import doctor_main as run
         else:
             near = get_close_matches(name, COMMANDS, 1)
             meant = f"did you mean {near[0]}? " if near else ""

@@ -59,13 +59,13 @@ def keep_pose(folder: Path, arguments: list[str]) -> int:
 
 def record_take(folder: Path, arguments: list[str]) -> int:
     """Some frames of a live source, recorded to the end."""
-    from player.live.frame import LivePose
+    from player.draw.drawing import Pose
     from player.live.take import Take
 
     def record() -> None:
         take = Take(folder / "take.npz")
         for number in range(6):
-            pose = LivePose(np.full((52, 3), 0.01 * number + (arguments[0] == "new")), np.zeros(3))
+            pose = Pose(np.full((52, 3), 0.01 * number + (arguments[0] == "new")), np.zeros(3))
             take.add(number / 30, pose)
         print("\n".join(take.finish()))
         if take.stopped:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from avatar.face import FaceFrame
 from avatar.rotation import axis_angle_from_quaternion, quaternion_inverse, quaternion_product
 from avatar.skeleton import DEPTHS, PARENTS
-from player.live.frame import LivePose
+from player.draw.drawing import Pose
 from player.live.vmc import VmcRig
 
 
@@ -27,23 +27,23 @@ class Calibration(NamedTuple):
     parent_rest: Float[np.ndarray, "52 4"]  # W
 
 
-def identity_calibration() -> Calibration:
-    """Of a normalised rig: every bone is identity in the T-pose."""
-    identity = np.tile([0.0, 0, 0, 1], (52, 1))
-    return Calibration(identity, identity.copy())
+IDENTITY = np.tile([0.0, 0, 0, 1], (52, 1))
+IDENTITY.setflags(write=False)
+# of a rig whose bones are identity in the T-pose
+NORMALISED = Calibration(IDENTITY, IDENTITY)
 
 
 def calibrated(t_pose: VmcRig) -> Calibration:
     """The calibration of a rig that stands in the T-pose, facing where it should face in our pose 0."""
     world = t_pose.rotations.copy()
-    parent_rest = np.tile([0.0, 0, 0, 1], (52, 1))
+    parent_rest = IDENTITY.copy()
     for joints in DEPTHS:
         parent_rest[joints] = world[PARENTS[joints]]
         world[joints] = quaternion_product(parent_rest[joints], t_pose.rotations[joints])
     return Calibration(t_pose.rotations.copy(), parent_rest)
 
 
-def pose_from_rig(rig: VmcRig, calibration: Calibration, face: FaceFrame | None = None) -> LivePose:
+def pose_from_rig(rig: VmcRig, calibration: Calibration, face: FaceFrame | None = None) -> Pose:
     """Our pose of a rig; the root's own pose moves and turns the pelvis."""
     turn = quaternion_product(rig.rotations, quaternion_inverse(calibration.rest))
     W = calibration.parent_rest
@@ -51,4 +51,4 @@ def pose_from_rig(rig: VmcRig, calibration: Calibration, face: FaceFrame | None 
     normal[0] = quaternion_product(rig.root_rotation, normal[0])
     hips = np.append(rig.hips, 0.0)
     carried = quaternion_product(quaternion_product(rig.root_rotation, hips), quaternion_inverse(rig.root_rotation))
-    return LivePose(axis_angle_from_quaternion(normal), rig.root + carried[:3], face)
+    return Pose(axis_angle_from_quaternion(normal), rig.root + carried[:3], face)

@@ -19,13 +19,14 @@ from avatar.motion.read import read_motion
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.settings import AtLeast, AtMost
+from player.draw.drawing import Pose
 from player.live import json_pose
-from player.live.frame import LivePose, between
 from player.live.one_euro import LEAST
+from player.live.receiver import udp_socket
 from player.live.vmc import VmcEncoder
 from player.scene.address import PORTS, Address, parse_address
 from player.scene.arguments import LIVE
-from player.scene.motions import BLOCK
+from player.scene.track import Track
 
 FASTEST = 1000.0  # frames a second
 # seconds; a sender that was stopped for longer goes on from now instead of hurrying
@@ -95,7 +96,7 @@ def stream_main(argv: list[str]) -> int:
     encode = encoder(options.to.kind, builtin_body("male"))
     poses = timed_poses(motion, options.rate or motion.rate, loop=options.loop)
     began = time.monotonic()
-    with connected(options.to) as connection:
+    with udp_socket(options.to, listens=False) as connection:
         print(f"{motion.name} to {options.to}, {options.rate or motion.rate:g} poses a second")
         try:
             sent = send(poses, encode, lambda data: deliver(connection, data))
@@ -105,28 +106,13 @@ def stream_main(argv: list[str]) -> int:
     return 0
 
 
-def connected(address: Address) -> socket.socket:
-    """A UDP socket that sends there.
-
-    Raises:
-        AssetError: there is no such host.
-    """
-    try:
-        family, kind, proto, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)[0]
-        connection = socket.socket(family, kind, proto)
-        connection.connect(place)
-    except OSError as error:
-        raise AssetError(f"{address}: {error.strerror or error}") from None
-    return connection
-
-
 def deliver(connection: socket.socket, data: bytes) -> None:
     """Send; that no one listens (yet) is no error."""
     with suppress(ConnectionRefusedError):
         connection.send(data)
 
 
-Encode = Callable[[int, float, LivePose], bytes]  # number, seconds since the start, pose
+Encode = Callable[[int, float, Pose], bytes]  # number, seconds since the start, pose
 
 
 def encoder(kind: str, body: Body, wall: Callable[[], float] = time.time) -> Encode:
@@ -134,41 +120,26 @@ def encoder(kind: str, body: Body, wall: Callable[[], float] = time.time) -> Enc
     height = -float(body.vertices[:, 1].min())
     if kind == "vmc":
         vmc = VmcEncoder(body.joints.astype(np.float64))
-        return lambda _number, seconds, pose: vmc.encode(pose.axis_angle, pose.root, seconds, pose.face)
-
-    def encode(number: int, _seconds: float, pose: LivePose) -> bytes:
-        return json_pose.build_pose(
-            pose.axis_angle, pose.root, time=wall(), sequence=number, sender="selfscan", pelvis_height=height,
-            face=pose.face,
-        )  # fmt: skip
-
-    return encode
+        return lambda _number, seconds, pose: vmc.encode(pose, seconds)
+    return lambda number, _seconds, pose: json_pose.build_pose(
+        pose, time=wall(), sequence=number, sender="selfscan", pelvis_height=height
+    )
 
 
-def timed_poses(motion: Motion | Clip, rate: float | int, *, loop: bool) -> Iterator[tuple[float, LivePose]]:
-    """The motion at a rate, read in blocks: seconds since the start, and the pose then, between frames on the
-    shorter arc. The last pose is the last that is not after the motion's last frame; looping, the first frame
-    follows one step after it."""
+def timed_poses(motion: Motion | Clip, rate: float | int, *, loop: bool) -> Iterator[tuple[float, Pose]]:
+    """The motion at a rate: seconds since the start, and the pose then, between frames on the shorter arc. The last
+    pose is the last that is not after the motion's last frame; looping, the first frame follows one step after it."""
     count = int(np.floor((motion.frames - 1) / motion.rate * rate * (1 + 1e-12))) + 1
-    first, block = 0, None
+    track = Track(motion)
     for index in itertools.count() if loop else range(count):
         at = min(index % count * (motion.rate / rate), motion.frames - 1)
-        frame = min(int(at + 1e-9), motion.frames - 1)
-        if block is None or not first <= frame < first + len(block.root) - 1:
-            first = frame
-            block = motion.read(first, min(first + BLOCK, motion.frames))
-        near, part = _pose(block, frame - first), at - frame
-        if part >= 1e-6:
-            near = between(near, _pose(block, frame + 1 - first), part)
-        yield index / rate, near
-
-
-def _pose(clip: Clip, frame: int) -> LivePose:
-    return LivePose(clip.axis_angle[frame], clip.root[frame], clip.face_at(frame))
+        frame = int(at + 1e-9)
+        part = at - frame
+        yield index / rate, track.pose_beside(frame / motion.rate, part / motion.rate if part >= 1e-6 else 0.0)
 
 
 def send(
-    poses: Iterator[tuple[float, LivePose]],
+    poses: Iterator[tuple[float, Pose]],
     encode: Encode,
     deliver: Callable[[bytes], object],
     *,

@@ -15,14 +15,7 @@ from avatar.face import FaceFrame
 from avatar.gaze import NECK_AND_HEAD, gaze_of, turned_head
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from player.draw.drawing import Pose
-from player.live.frame import Counters, Decoded, LivePose
-
-# seconds; a clock set back by more was restarted
-RESTART = 1.0
-
-
-class FaceError(ValueError):
-    """The bytes are no face of this protocol."""
+from player.live.frame import RESTART, Counters, Decoded, MalformedError
 
 
 class SentFace(NamedTuple):
@@ -33,9 +26,9 @@ class SentFace(NamedTuple):
     sent: float | None = None  # seconds on the sender's clock
 
     @property
-    def pose(self) -> LivePose:
+    def pose(self) -> Pose:
         """The pose of it, in T-pose but for the head."""
-        return LivePose(turned_head(np.array(self.head)), np.zeros(3), self.face)
+        return Pose(turned_head(np.array(self.head)), np.zeros(3), self.face)
 
 
 class FaceDecoder:
@@ -49,12 +42,8 @@ class FaceDecoder:
 
     def decode(self, data: bytes | str, _received: float | int, counters: Counters) -> Decoded | None:
         """The face of a datagram; None where it is not used: the counters say why."""
-        try:
-            assert isinstance(data, bytes)
-            found = self.parse(data)
-        except FaceError:
-            counters.malformed += 1
-            return None
+        assert isinstance(data, bytes)
+        found = self.parse(data)
         sent, last = found.sent, self.clock
         restarted = sent is not None and last is not None and sent < last - RESTART
         if sent is not None and last is not None and not restarted and sent <= last:
@@ -69,10 +58,10 @@ def sent_face(weights: Float[Array, "52"], gaze: Float[Array, "2 2"] | None = No
     """A face of received numbers; without a gaze of their own eyes look where the eyeLook* shapes say.
 
     Raises:
-        FaceError: a number is not finite.
+        MalformedError: a number is not finite.
     """
     if not np.isfinite(weights).all() or (gaze is not None and not np.isfinite(gaze).all()):
-        raise FaceError("a number that is not finite")
+        raise MalformedError("a number that is not finite")
     weights = np.clip(weights, 0.0, 1.0)
     return FaceFrame(weights, gaze_of(weights) if gaze is None else np.clip(gaze, -np.pi / 2, np.pi / 2))
 

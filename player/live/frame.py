@@ -1,34 +1,20 @@
-"""One received pose, before it is fitted to an avatar; and counts of what was received."""
+"""What was received, before it is the pose of an avatar, and counts of it."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from jaxtyping import Float
-
-from avatar import rotation
-from avatar.face import FaceFrame, face_between
+# seconds; a sender's clock set back by more was restarted, by less its datagram came late
+RESTART = 1.0
 
 
-class LivePose(NamedTuple):
-    """A pose in our world, of the sender's body."""
-
-    axis_angle: Float[np.ndarray, "52 3"]
-    root: Float[np.ndarray, "3"]  # pelvis joint, metres
-    # None: the sender says nothing of it
-    face: FaceFrame | None = None
-
-
-def between(a: LivePose, b: LivePose, part: float) -> LivePose:
-    """A share `part` of the way from one pose to another: joints on the shorter arc, root and face straight."""
-    joints, root = rotation.between(a.axis_angle, b.axis_angle, part), a.root + part * (b.root - a.root)
-    return LivePose(joints, root, face_between(a.face, b.face, part))
+class MalformedError(ValueError):
+    """The bytes are nothing that the protocol sends."""
 
 
 class LiveFrame(NamedTuple):
     """What a decoder made of one or more datagrams."""
 
-    # that its decoder turns into a LivePose
+    # that its decoder turns into a Pose
     content: object
     # monotonic seconds on this machine, of the last datagram
     received: float

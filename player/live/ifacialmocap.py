@@ -11,7 +11,8 @@ import numpy as np
 
 from avatar.face import SHAPES
 from avatar.face_names import shapes_called
-from player.live.face_sender import FaceError, SentFace, sent_face
+from player.live.face_sender import SentFace, sent_face
+from player.live.frame import MalformedError
 
 ANGLES = ("=head", "rightEye", "leftEye")
 # a frame has all the shapes, of which a version may lack one
@@ -22,7 +23,7 @@ def parse_ifacialmocap(data: bytes) -> SentFace:
     """Read one datagram.
 
     Raises:
-        FaceError: no such text, cut short, or with numbers that are none.
+        MalformedError: no such text, cut short, or with numbers that are none.
     """
     weights, angles, known = np.zeros(len(SHAPES)), {}, 0
     try:
@@ -38,11 +39,11 @@ def parse_ifacialmocap(data: bytes) -> SentFace:
                 weights[next(iter(shapes))] = float(number) / 100
                 known += 1
     except ValueError as error:
-        raise FaceError(f"no text of iFacialMocap: {error}") from None
+        raise MalformedError(f"no text of iFacialMocap: {error}") from None
     # what is cut short lacks the head, which comes after the shapes
     head = angles.get("=head")
     if known < FEWEST or head is None or any(len(turn) != 3 or not np.isfinite(turn).all() for turn in angles.values()):
-        raise FaceError(f"expected {FEWEST} shapes and =head, found {known} and {sorted(angles)}")
+        raise MalformedError(f"expected {FEWEST} shapes and =head, found {known} and {sorted(angles)}")
     gaze = None
     if "leftEye" in angles and "rightEye" in angles:
         gaze = np.array([[turn[1], -turn[0]] for turn in (angles["leftEye"], angles["rightEye"])])

@@ -8,11 +8,12 @@ follows `received`. A take is made of them.
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-from player.live.calibration import calibrated, identity_calibration, pose_from_rig
+from player.draw.drawing import Pose
+from player.live.calibration import NORMALISED, calibrated, pose_from_rig
 from player.live.face_sender import FaceDecoder, SentFace
-from player.live.frame import Counters, Decoded, LiveFrame, LivePose
+from player.live.frame import Counters, Decoded, LiveFrame, MalformedError
 from player.live.ifacialmocap import parse_ifacialmocap
 from player.live.json_pose import JsonDecoder, JsonPose
 from player.live.livelinkface import parse_livelinkface
@@ -27,14 +28,8 @@ JUMP = 1.0
 SILENT = 1.0  # seconds without a datagram
 
 
-class Decoder(Protocol):
-    """Makes frames of the datagrams of one protocol."""
-
-    largest: int  # bytes
-
-    def decode(self, data: bytes | str, received: float | int, counters: Counters, /) -> Decoded | None: ...
-
-
+# what makes frames of the datagrams of a protocol, of at most `largest` bytes
+Decoder = VmcDecoder | JsonDecoder | FaceDecoder
 # by the kind of an address (player/scene/address.py)
 DECODERS: dict[str, Callable[[], Decoder]] = {
     "vmc": VmcDecoder,
@@ -64,7 +59,7 @@ class Inbox:
         self.decoder = DECODERS[kind]()
         self.counters = Counters()
         self.take = take
-        self.calibration = identity_calibration()
+        self.calibration = NORMALISED
         self.newest: LiveFrame | None = None
         self.arrivals: deque[float] = deque(maxlen=64)
         self.start: tuple[float, float] | None = None  # sender's clock and ours at a common moment
@@ -76,7 +71,11 @@ class Inbox:
             if len(data) > self.decoder.largest:
                 self.counters.oversized += 1
                 return
-            found = self.decoder.decode(data, received, self.counters)
+            try:
+                found = self.decoder.decode(data, received, self.counters)
+            except MalformedError:
+                self.counters.malformed += 1
+                return
             if found is not None:
                 self._accept(found, received)
 
@@ -126,7 +125,7 @@ class Inbox:
         with self.arrived:
             return self.arrived.wait_for(lambda: self.newest is not None and self.newest.number > after, timeout)
 
-    def pose(self, frame: LiveFrame) -> LivePose:
+    def pose(self, frame: LiveFrame) -> Pose:
         """A frame in our joints and world, of the sender's body."""
         if isinstance(frame.content, VmcState):
             return pose_from_rig(rig_from_state(frame.content), self.calibration, face_of(frame.content))
@@ -151,7 +150,7 @@ class Inbox:
             self.calibration = calibrated(rig_from_state(self.newest.content))
             return True
 
-    def sample(self) -> tuple[LiveFrame, LivePose] | None:
+    def sample(self) -> tuple[LiveFrame, Pose] | None:
         """The newest frame and its pose. None: none yet."""
         with self.lock:
             newest = self.newest

@@ -19,7 +19,8 @@ from jaxtyping import Float
 from avatar.face import SHAPES, FaceFrame
 from avatar.face_names import weights_of
 from avatar.gaze import gaze_of
-from player.live.frame import Counters, Decoded, LivePose
+from player.draw.drawing import Pose
+from player.live.frame import Counters, Decoded, MalformedError
 
 LARGEST = 16384  # bytes; a message has about 3000, with a face 4500
 MOST_NAMES = 256  # a face's
@@ -33,31 +34,27 @@ class JsonPose(NamedTuple):
     time: float
     sequence: int
     sender: str
-    pose: LivePose
+    pose: Pose
     pelvis_height: float | None
-
-
-class PoseError(ValueError):
-    """The text is no pose."""
 
 
 def parse_pose(data: bytes | str) -> JsonPose:
     """Read one message.
 
     Raises:
-        PoseError: not JSON, another version, a key missing, a number not finite or out of all measure.
+        MalformedError: not JSON, another version, a key missing, a number not finite or out of all measure.
     """
     try:
         found = json.loads(data, parse_constant=_refuse)
     except (ValueError, RecursionError) as error:
-        raise PoseError(f"no JSON: {error}") from None
+        raise MalformedError(f"no JSON: {error}") from None
     if not isinstance(found, dict) or found.get("v") != 1:
-        raise PoseError('expected an object with "v": 1')
+        raise MalformedError('expected an object with "v": 1')
     sequence, sender = found.get("seq"), found.get("id", "")
     if not isinstance(sequence, int) or isinstance(sequence, bool) or not 0 <= sequence < 1 << 63:
-        raise PoseError("seq should be a whole number from 0")
+        raise MalformedError("seq should be a whole number from 0")
     if not isinstance(sender, str) or len(sender) > 64:
-        raise PoseError("id should be a text of at most 64 letters")
+        raise MalformedError("id should be a text of at most 64 letters")
     time = _numbers([found.get("t")], 1, 1e12, "t")[0]
     trans = _numbers(found.get("trans"), 3, 1e6, "trans")
     poses = _numbers(found.get("poses"), 156, 1e3, "poses")
@@ -65,8 +62,8 @@ def parse_pose(data: bytes | str) -> JsonPose:
     if height is not None:
         height = float(_numbers([height], 1, 100, "pelvis_height")[0])
         if height < 0.05:
-            raise PoseError("pelvis_height should be metres, at least 0.05")
-    return JsonPose(float(time), sequence, sender, LivePose(poses.reshape(52, 3), trans, _face(found)), height)
+            raise MalformedError("pelvis_height should be metres, at least 0.05")
+    return JsonPose(float(time), sequence, sender, Pose(poses.reshape(52, 3), trans, _face(found)), height)
 
 
 def _face(found: dict) -> FaceFrame | None:
@@ -74,9 +71,9 @@ def _face(found: dict) -> FaceFrame | None:
     if named is None:
         return None
     if not isinstance(named, dict) or len(named) > MOST_NAMES:
-        raise PoseError(f"face should be an object of at most {MOST_NAMES} names")
+        raise MalformedError(f"face should be an object of at most {MOST_NAMES} names")
     if not all(type(value) in (int, float) and 0 <= value <= 1 for value in named.values()):
-        raise PoseError("face should have numbers from 0 to 1")
+        raise MalformedError("face should have numbers from 0 to 1")
     weights = weights_of(named)
     return FaceFrame(weights, gaze_of(weights))
 
@@ -88,32 +85,26 @@ def _refuse(name: str) -> None:
 def _numbers(value: object, count: int, largest: float | int, name: str) -> Float[np.ndarray, "numbers"]:
     """`count` plain numbers below `largest`; true and false are none."""
     if not isinstance(value, list) or len(value) != count:
-        raise PoseError(f"{name} should be {count} numbers")
+        raise MalformedError(f"{name} should be {count} numbers")
     if not all(type(number) in (int, float) and -largest <= number <= largest for number in value):
-        raise PoseError(f"{name} should be {count} finite numbers, at most {largest:g}")
+        raise MalformedError(f"{name} should be {count} finite numbers, at most {largest:g}")
     return np.array(value, np.float64)
 
 
 def build_pose(
-    axis_angle: Float[np.ndarray, "52 3"],
-    root: Float[np.ndarray, "3"],
-    *,
-    time: float | int,
-    sequence: int,
-    sender: str = "",
-    pelvis_height: float | None = None,
-    face: FaceFrame | None = None,
+    pose: Pose, *, time: float | int, sequence: int, sender: str = "", pelvis_height: float | None = None
 ) -> bytes:
-    """One message; the numbers to 1e-6. A gaze is sent as the eyeLook* shapes of `face` say it."""
+    """One message; the numbers to 1e-6. A gaze is sent as the eyeLook* shapes of the face say it."""
     message: dict = {"v": 1, "t": time, "seq": sequence}
     if sender:
         message["id"] = sender
     if pelvis_height is not None:
         message["pelvis_height"] = round(pelvis_height, 6)
-    message["trans"] = np.round(root, 6).tolist()
-    message["poses"] = np.round(axis_angle, 6).reshape(-1).tolist()
-    if face is not None:
-        message["face"] = {name: round(float(weight), 4) for name, weight in zip(SHAPES, face.weights) if weight > 0}
+    message["trans"] = np.round(pose.root, 6).tolist()
+    message["poses"] = np.round(pose.axis_angle, 6).reshape(-1).tolist()
+    if pose.face is not None:
+        weights = zip(SHAPES, pose.face.weights.tolist(), strict=True)
+        message["face"] = {name: round(weight, 4) for name, weight in weights if weight > 0}
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
 
 
@@ -132,12 +123,7 @@ class JsonDecoder:
 
     def decode(self, data: bytes | str, received: float | int, counters: Counters) -> Decoded | None:
         """The pose, and whether the sender has restarted; None where it is not used: the counters say why."""
-        try:
-            pose = parse_pose(data)
-        except PoseError:
-            counters.malformed += 1
-            return None
-        restarted = False
+        pose, restarted = parse_pose(data), False
         if pose.sender != self.sender:
             if self.sender is not None and received - self.heard < PATIENCE:
                 counters.other += 1

@@ -14,7 +14,8 @@ import struct
 import numpy as np
 
 from avatar.face import SHAPES
-from player.live.face_sender import FaceError, SentFace, sent_face
+from player.live.face_sender import SentFace, sent_face
+from player.live.frame import MalformedError
 
 VERSION = 6
 START = struct.Struct("<i37s")
@@ -27,22 +28,22 @@ def parse_livelinkface(data: bytes) -> SentFace:
     """Read one datagram.
 
     Raises:
-        FaceError: another version, cut short, or numbers that are not finite.
+        MalformedError: another version, cut short, or numbers that are not finite.
     """
     try:
         version, identifier = START.unpack_from(data)
         (length,) = struct.unpack_from("!i", data, START.size)
         if version != VERSION or identifier[:1] != b"$" or not 0 <= length <= LONGEST_NAME:
-            raise FaceError(f"expected version {VERSION} and an identifier, found version {version}")
+            raise MalformedError(f"expected version {VERSION} and an identifier, found version {version}")
         at = START.size + 4 + length
         frame, part, rate, unit = TIME.unpack_from(data, at)
         count, *values = VALUES.unpack_from(data, at + TIME.size)
     except struct.error as error:
-        raise FaceError(f"{len(data)} bytes: {error}") from None
+        raise MalformedError(f"{len(data)} bytes: {error}") from None
     if count != 61 or len(data) != at + TIME.size + VALUES.size:
-        raise FaceError(f"expected 61 values, found {count} in {len(data)} bytes")
+        raise MalformedError(f"expected 61 values, found {count} in {len(data)} bytes")
     yaw, pitch, roll = values[len(SHAPES) : len(SHAPES) + 3]
     if not (abs(yaw) < 10 and abs(pitch) < 10 and abs(roll) < 10):
-        raise FaceError("angles of the head that are none")
+        raise MalformedError("angles of the head that are none")
     sent = (frame + part) * unit / rate if rate > 0 and unit > 0 and 0 <= part <= 1 else None
     return SentFace(sent_face(np.array(values[: len(SHAPES)])), (-yaw, -pitch, roll), sent)

@@ -17,7 +17,7 @@ from avatar.rotation import (
     quaternion_product,
     slerp,
 )
-from player.live.frame import LivePose
+from player.draw.drawing import Pose
 
 LEAST = 1.5  # Hz, at rest
 TURN_GAIN = 4.0  # Hz for a radian a second
@@ -37,7 +37,7 @@ class OneEuro:
         self.smooth: tuple[np.ndarray, np.ndarray] | None = None
         self.speed = (np.zeros((52, 3)), np.zeros(3))
 
-    def __call__(self, pose: LivePose, dt: float | int) -> LivePose:
+    def __call__(self, pose: Pose, dt: float | int) -> Pose:
         """The smoothed pose, `dt` seconds after the last; with dt <= 0, the last again."""
         q, root = quaternion_from_axis_angle(pose.axis_angle), np.asarray(pose.root, np.float64)
         if self.raw is None or self.smooth is None:
@@ -53,7 +53,7 @@ class OneEuro:
             last_q, last_root = self.smooth
             self.raw = (q, root)
             self.smooth = (slerp(last_q, q, turning), last_root + moving * (root - last_root))
-        return LivePose(axis_angle_from_quaternion(self.smooth[0]), self.smooth[1], pose.face)
+        return Pose(axis_angle_from_quaternion(self.smooth[0]), self.smooth[1], pose.face)
 
 
 def share(cutoff, dt: float | int):

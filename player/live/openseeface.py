@@ -13,7 +13,8 @@ import struct
 import numpy as np
 
 from avatar.face_names import weights_of
-from player.live.face_sender import FaceError, SentFace, sent_face
+from player.live.face_sender import SentFace, sent_face
+from player.live.frame import MalformedError
 
 HEAD = struct.Struct("=di4fBf4f3f3f")
 FEATURES = struct.Struct("=14f")
@@ -35,15 +36,15 @@ def parse_openseeface(data: bytes) -> SentFace:
     """Read the first face of a datagram.
 
     Raises:
-        FaceError: of another length, without a face that was found, or with numbers that are not finite.
+        MalformedError: of another length, without a face that was found, or with numbers that are not finite.
     """
     if not data or len(data) % SIZE:
-        raise FaceError(f"expected faces of {SIZE} bytes, found {len(data)}")
+        raise MalformedError(f"expected faces of {SIZE} bytes, found {len(data)}")
     time, _, _, _, right, left, found, _, *turn = HEAD.unpack_from(data)
     features = FEATURES.unpack_from(data, SIZE - FEATURES.size)
     pitch, yaw, roll = turn[4:7]
     if not found or not np.isfinite([time, right, left, pitch, yaw, roll, *features]).all() or abs(time) > 1e12:
-        raise FaceError("no face in 3-D, or a number that is not finite")
+        raise MalformedError("no face in 3-D, or a number that is not finite")
     values = {"eyeBlinkLeft": 1.0 - left, "eyeBlinkRight": 1.0 - right}
     for place, ways in RECIPES.items():
         value = min(max(features[place], -1.0), 1.0)

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
+from player.live.frame import MalformedError
+
 # bytes of a packet; a VMC bundle of 55 bones has about 4500
 LARGEST = 32768
 MOST_MESSAGES = 1024  # in a packet
@@ -18,10 +20,6 @@ IMMEDIATELY = (1).to_bytes(8, "big")  # time tag
 
 # Numbers: OSC's letter, and struct's
 PLAIN = {"i": "i", "f": "f", "h": "q", "d": "d", "t": "Q"}
-
-
-class OscError(ValueError):
-    """The bytes are no OSC packet, or a larger or deeper one than is read here."""
 
 
 class Message(NamedTuple):
@@ -36,10 +34,11 @@ def parse_packet(data: bytes) -> list[Message]:
     specification asks for types that are not known.
 
     Raises:
-        OscError: anything else that is not as it should be; then nothing of the packet is used.
+        MalformedError: anything else that is not as it should be, or larger or deeper than is read here; then nothing
+            of the packet is used.
     """
     if len(data) > LARGEST:
-        raise OscError(f"packet of {len(data)} bytes, at most {LARGEST} are read")
+        raise MalformedError(f"packet of {len(data)} bytes, at most {LARGEST} are read")
     messages: list[Message] = []
     _parse(data, 0, len(data), messages, 0)
     return messages
@@ -47,23 +46,23 @@ def parse_packet(data: bytes) -> list[Message]:
 
 def _parse(data: bytes, start: int, end: int, messages: list[Message], depth: int) -> None:
     if (end - start) % 4 or start == end:
-        raise OscError(f"{end - start} bytes: a packet is a positive multiple of 4 long")
+        raise MalformedError(f"{end - start} bytes: a packet is a positive multiple of 4 long")
     if data[start] == 0x2F:  # "/"
         if len(messages) >= MOST_MESSAGES:
-            raise OscError(f"more than {MOST_MESSAGES} messages in a packet")
+            raise MalformedError(f"more than {MOST_MESSAGES} messages in a packet")
         message = _message(data, start, end)
         if message is not None:
             messages.append(message)
         return
     if data[start : start + 8] != b"#bundle\0" or end - start < 16:
-        raise OscError("neither a message nor a bundle")
+        raise MalformedError("neither a message nor a bundle")
     if depth == DEEPEST:
-        raise OscError(f"bundles nested more than {DEEPEST} deep")
+        raise MalformedError(f"bundles nested more than {DEEPEST} deep")
     at = start + 16
     while at < end:
         size = int.from_bytes(data[at : at + 4], "big")
         if size > end - at - 4:
-            raise OscError(f"an element of {size} bytes in a bundle with {end - at - 4} left")
+            raise MalformedError(f"an element of {size} bytes in a bundle with {end - at - 4} left")
         _parse(data, at + 4, at + 4 + size, messages, depth + 1)
         at += 4 + size
 
@@ -74,10 +73,10 @@ def _message(data: bytes, start: int, end: int) -> Message | None:
         # senders of before 1.0 leave the type letters out
         return Message(address, ())
     if data[at] != 0x2C:  # ","
-        raise OscError("no type letters after the address")
+        raise MalformedError("no type letters after the address")
     stop = data.find(b"\0", at, end)
     if stop < 0:
-        raise OscError("a string that does not end")
+        raise MalformedError("a string that does not end")
     letters = data[at + 1 : stop]
     at += (stop - at) // 4 * 4 + 4
     layout = _layout(letters)
@@ -88,7 +87,7 @@ def _message(data: bytes, start: int, end: int) -> Message | None:
         text, at = _string(data, at, end)
         arguments.append(text)
     if at + layout.size > end:
-        raise OscError("arguments end before their types do")
+        raise MalformedError("arguments end before their types do")
     return Message(address, (*arguments, *layout.unpack_from(data, at)))
 
 
@@ -104,29 +103,21 @@ def _layout(letters: bytes) -> struct.Struct | None:
 def _string(data: bytes, start: int, end: int) -> tuple[str, int]:
     stop = data.find(b"\0", start, end)
     if stop < 0:
-        raise OscError("a string that does not end")
+        raise MalformedError("a string that does not end")
     try:
         return data[start:stop].decode("utf-8"), start + (stop - start) // 4 * 4 + 4
     except UnicodeDecodeError:
-        raise OscError("a string that is not UTF-8") from None
+        raise MalformedError("a string that is not UTF-8") from None
 
 
-def build_message(address: str, *arguments: str | float | int | bool) -> bytes:
-    """A message: str as s, bool as T or F, int as int32, float as float32."""
-    letters, parts = [","], []
+def build_message(address: str, *arguments: str | float | int) -> bytes:
+    """A message: str as s, int as int32, float as float32."""
+    letters, data = ",", b""
     for value in arguments:
-        if isinstance(value, bool):
-            letters.append("T" if value else "F")
-        elif isinstance(value, int):
-            letters.append("i")
-            parts.append(struct.pack(">i", value))
-        elif isinstance(value, float):
-            letters.append("f")
-            parts.append(struct.pack(">f", value))
-        else:
-            letters.append("s")
-            parts.append(_padded(value))
-    return _padded(address) + _padded("".join(letters)) + b"".join(parts)
+        letter = "s" if isinstance(value, str) else "i" if isinstance(value, int) else "f"
+        letters += letter
+        data += _padded(value) if isinstance(value, str) else struct.pack(f">{letter}", value)
+    return _padded(address) + _padded(letters) + data
 
 
 def build_bundle(elements: Sequence[bytes]) -> bytes:

@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
 from avatar.face import face_between
-from player.live.frame import LivePose
 from player.live.gains import Gains
 from player.live.inbox import SILENT, Inbox
 from player.live.latency import DRAWN, Latency
@@ -54,7 +53,7 @@ class LivePlayback:
         self.origin: Float[np.ndarray, "3"] | None = None  # in the sender's metres
         # whether the pose that sets the origin stands on the ground for certain
         self.stands = False
-        self.shown: LivePose | None = None
+        self.shown: Pose | None = None
         # whether the sender moves the body; else a motion does, and the sender turns the head
         self.moves_body = address.kind not in FACE_SENDERS
         self.sampled: float | None = None

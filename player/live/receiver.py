@@ -26,21 +26,30 @@ PASSING = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM, errno.ECONNA
 LOCAL_PAGES = ("localhost", "127.0.0.1", "[::1]")
 
 
+def udp_socket(address: Address, *, listens: bool) -> socket.socket:
+    """A UDP socket that listens at an address, or sends there.
+
+    Raises:
+        AssetError: there is no such host, or the port is taken.
+    """
+    try:
+        family, kind, proto, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)[0]
+        opened = socket.socket(family, kind, proto)
+        try:
+            (opened.bind if listens else opened.connect)(place)
+        except OSError:
+            opened.close()
+            raise
+    except OSError as error:
+        raise AssetError(f"{address}: {_reason(error)}") from None
+    return opened
+
+
 class UdpListener:
     """Reads datagrams until closed. `address` has the port that was really bound."""
 
     def __init__(self, address: Address, inbox: Inbox):
-        self.inbox, self.closing = inbox, False
-        try:
-            family, kind, proto, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)[0]
-            self.socket = socket.socket(family, kind, proto)
-        except OSError as error:
-            raise AssetError(f"{address}: {error.strerror or error}") from None
-        try:
-            self.socket.bind(place)
-        except OSError as error:
-            self.socket.close()
-            raise AssetError(f"{address}: {_reason(error)}") from None
+        self.inbox, self.closing, self.socket = inbox, False, udp_socket(address, listens=True)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         self.socket.settimeout(0.1)
         self.address = address._replace(port=self.socket.getsockname()[1])
@@ -51,12 +60,9 @@ class UdpListener:
         while not self.closing:
             try:
                 data = self.socket.recv(65536)
-            except TimeoutError:
-                continue
+            # nothing came for a while; Windows also reports a sender's closed port here
             except OSError:
-                if self.closing:
-                    return
-                continue  # Windows reports a sender's closed port here
+                continue
             self.inbox.feed(data, time.monotonic())
 
     def close(self) -> None:
@@ -164,12 +170,11 @@ class WebSocketListener:
     def _admit(self, connection: Any) -> bool:
         """Register a sender; False where all places are taken by senders that are not silent."""
         with self.lock:
-            now = time.monotonic()
-            quietest = min(self.last_message, key=lambda sender: self.last_message[sender], default=None)
-            if len(self.last_message) >= MOST_CLIENTS and now - self.last_message[quietest] < SILENT:
-                return False
-            leaving = quietest if len(self.last_message) >= MOST_CLIENTS else None
-            if leaving is not None:
+            now, leaving = time.monotonic(), None
+            if len(self.last_message) >= MOST_CLIENTS:
+                leaving = min(self.last_message, key=lambda sender: self.last_message[sender])
+                if now - self.last_message[leaving] < SILENT:
+                    return False
                 del self.last_message[leaving]
             self.last_message[connection] = now
         if leaving is not None:

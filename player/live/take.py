@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Motion
@@ -18,7 +18,7 @@ from avatar.rotation import between
 from command.errors import AssetError
 from command.progress import plural
 from files.whole import check_file, locked
-from player.live.frame import LivePose
+from player.draw.drawing import Pose
 from player.scene.motions import BLOCK
 
 # 80 minutes at 60 frames a second; at most so many are recorded, and at most so many are written
@@ -68,7 +68,7 @@ class Take:
             os.close(self.file)
             raise
 
-    def add(self, time: float | int, pose: LivePose) -> None:
+    def add(self, time: float | int, pose: Pose) -> None:
         """The next frame. A disk that is full stops the take, not the program."""
         if self.stopped is not None:
             return
@@ -158,30 +158,26 @@ def even_motion(records: np.ndarray, pelvis_height: float | None, name: str) -> 
     last = np.append(np.flatnonzero(np.diff(ticks)), len(ticks) - 1)
     ticks = ticks[last] - ticks[last[0]]
 
+    def recorded(field: str, start: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A field of the frames before and after the ticks, and which part of the way each is: 0 on a frame's own."""
+        wanted = np.arange(start, stop)
+        after = np.searchsorted(ticks, wanted)
+        before = np.where(ticks[after] == wanted, after, after - 1)
+        a, b = (records[field][last[chosen]].astype(np.float64) for chosen in (before, after))
+        return a, b, (wanted - ticks[before]) / np.maximum(ticks[after] - ticks[before], 1)
+
     def block(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        before, after, part = neighbours(ticks, start, stop)
-        a, b = (records["pose"][last[chosen]].astype(np.float64) for chosen in (before, after))
+        a, b, part = recorded("pose", start, stop)
         turned = between(a[:, :52], b[:, :52], np.repeat(part[:, None], 52, 1))
         return np.where(part[:, None, None] > 0, turned, a[:, :52]), a[:, 52] + part[:, None] * (b - a)[:, 52]
 
     def faces(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        before, after, part = neighbours(ticks, start, stop)
-        a, b = (np.nan_to_num(records["face"][last[chosen]].astype(np.float64)) for chosen in (before, after))
-        out = a + part[:, None] * (b - a)
+        a, b, part = recorded("face", start, stop)
+        out = np.nan_to_num(a) + part[:, None] * (np.nan_to_num(b) - np.nan_to_num(a))
         return out[:, :52], out[:, 52:].reshape(-1, 2, 2)
 
     some = any(np.isfinite(records["face"][k : k + BLOCK, 0]).any() for k in range(0, len(records), BLOCK))
     return Motion(name, int(ticks[-1]) + 1, rate, notes, block, pelvis_height, faces=faces if some else None)
-
-
-def neighbours(
-    ticks: Int[np.ndarray, "frames"], start: int, stop: int
-) -> tuple[Int[np.ndarray, "ticks"], Int[np.ndarray, "ticks"], Float[np.ndarray, "ticks"]]:
-    """Between which frames the ticks start .. stop - 1 lie, and which part of the way: 0 on a frame's own tick."""
-    wanted = np.arange(start, stop)
-    after = np.searchsorted(ticks, wanted)
-    before = np.where(ticks[after] == wanted, after, after - 1)
-    return before, after, (wanted - ticks[before]) / np.maximum(ticks[after] - ticks[before], 1)
 
 
 def even_rate(steps: Float[np.ndarray, "steps"]) -> float:

@@ -26,12 +26,11 @@ from avatar.face_names import shapes_called, weights_of
 from avatar.gaze import angles_of, with_looks, within_reach
 from avatar.rotation import matrix_from_quaternion, quaternion_from_axis_angle
 from avatar.skeleton import PARENTS
+from player.draw.drawing import Pose
 from player.live.face_sender import sent_face
-from player.live.frame import Counters, Decoded
-from player.live.osc import LARGEST, Message, OscError, build_bundle, build_message, parse_packet
+from player.live.frame import RESTART, Counters, Decoded
+from player.live.osc import LARGEST, Message, build_bundle, build_message, parse_packet
 
-# seconds; a clock set back by more was restarted, by less its datagram came late
-RESTART = 1.0
 # datagrams, to know a repeated one
 REMEMBERED = 16
 # names of expressions that are held
@@ -52,19 +51,14 @@ _LEGS = [(1, 4, 7), (2, 5, 8)]
 Bone = tuple[float, ...]  # seven: position xyz, rotation xyzw, as sent
 Blend = tuple[str, float] | None  # an expression's value; None: those since the last time are shown
 
-
-def _joints(vrm1_thumbs: bool) -> dict[str, int]:
-    """Lower-case names to joints. VRM 1 calls the thumb's bones metacarpal, proximal, distal."""
-    names = dict(_JOINT)
-    if vrm1_thumbs:
-        for side, first in (("left", 34), ("right", 49)):
-            names[f"{side}thumbmetacarpal"], names[f"{side}thumbproximal"] = first, first + 1
-    return names
-
-
-JOINT_OF = {False: _joints(False), True: _joints(True)}
+# VRM 1 calls the thumb's bones metacarpal, proximal, distal
+_THUMBS = {"leftthumbmetacarpal": 34, "leftthumbproximal": 35, "rightthumbmetacarpal": 49, "rightthumbproximal": 50}
+# lower-case names to joints: without and with those thumbs
+JOINT_OF = {False: _JOINT, True: _JOINT | _THUMBS}
 EYES = ("lefteye", "righteye")
 KNOWN = frozenset(JOINT_OF[True]) | {*EYES}
+# messages in which a mistake is said; all others that are not known are passed over
+EXPECTED = ("/VMC/Ext/Bone/Pos", "/VMC/Ext/Root/Pos", "/VMC/Ext/Blend/Val", "/VMC/Ext/T")
 
 
 class VmcState(NamedTuple):
@@ -106,15 +100,9 @@ class VmcDecoder:
         self.face: FaceFrame | None = None
 
     def decode(self, data: bytes | str, _received: float | int, counters: Counters) -> Decoded | None:
-        """The state after this datagram, or None where it held no bone and no face or is not used; the counters say
-        why."""
-        try:
-            assert isinstance(data, bytes)
-            messages = parse_packet(data)
-        except OscError:
-            counters.malformed += 1
-            return None
-        clock, found, root, blends, bad = self._read(messages)
+        """The state after this datagram; None where it held no bone and no face or is not used (see the counters)."""
+        assert isinstance(data, bytes)
+        clock, found, root, blends, bad = self._read(parse_packet(data))
         if clock is not None and self._is_old(data, clock, counters):
             return None
         restarted = clock is not None and self.clock is not None and clock < self.clock - RESTART
@@ -139,33 +127,24 @@ class VmcDecoder:
 
     def _read(self, messages: list[Message]) -> tuple[float | None, dict[str, Bone], Bone | None, list[Blend], bool]:
         clock, found, root, blends, bad = None, {}, None, [], False
-        for address, arguments in messages:
-            if address == "/VMC/Ext/Bone/Pos" or address == "/VMC/Ext/Root/Pos":
-                pose = _pose(arguments)
-                if pose is None:
-                    bad = True
-                elif address == "/VMC/Ext/Root/Pos":
+        for message in messages:
+            match message:
+                case ("/VMC/Ext/Bone/Pos", (str(name), *numbers)) if pose := _pose(numbers):
+                    if name.lower() in KNOWN:
+                        found[name.lower()] = pose
+                case ("/VMC/Ext/Root/Pos", (str(), *numbers)) if pose := _pose(numbers):
                     root = pose
-                else:
-                    name = arguments[0].lower()
-                    if name in KNOWN:
-                        found[name] = pose
-            elif address == "/VMC/Ext/Blend/Val":
-                name, value = (*arguments, None, None)[:2]
-                if isinstance(name, str) and isinstance(value, int | float) and abs(value) < 1e6:
+                case ("/VMC/Ext/Blend/Val", (str(name), int() | float() as value, *_)) if abs(value) < 1e6:
                     blends.append((name, float(value)))
-                else:
-                    bad = True
-            elif address == "/VMC/Ext/Blend/Apply":
-                blends.append(None)
-            elif address == "/VMC/Ext/T":
-                if len(arguments) >= 1 and isinstance(arguments[0], (int, float)) and abs(arguments[0]) < 1e12:
-                    clock = float(arguments[0])
-                else:
-                    bad = True
-            elif address == "/VMC/Ext/OK":
-                numbers = [value for value in arguments if isinstance(value, int)]
-                self.tracking = bool(numbers and numbers[0]) and (len(numbers) < 4 or numbers[3] != 0)
+                case ("/VMC/Ext/Blend/Apply", _):
+                    blends.append(None)
+                case ("/VMC/Ext/T", (int() | float() as seconds, *_)) if abs(seconds) < 1e12:
+                    clock = float(seconds)
+                case ("/VMC/Ext/OK", arguments):
+                    numbers = [value for value in arguments if isinstance(value, int)]
+                    self.tracking = bool(numbers and numbers[0]) and (len(numbers) < 4 or numbers[3] != 0)
+                case (address, _):
+                    bad |= address in EXPECTED
         return clock, found, root, blends, bad
 
     def _blended(self, blends: list[Blend]) -> bool:
@@ -192,19 +171,12 @@ class VmcDecoder:
         return False
 
 
-def _pose(arguments: tuple) -> Bone | None:
-    """Seven finite numbers after a name, with a rotation that is one; or None."""
-    if len(arguments) < 8 or not isinstance(arguments[0], str):
-        return None
-    numbers = arguments[1:8]
-    try:
-        x, y, z, w = numbers[3:]
-        if sum(map(abs, numbers)) < 1e6 and x * x + y * y + z * z + w * w > 1e-6:  # false for NaN
-            # other number types are read, too
-            return tuple(map(float, numbers))
-    except TypeError:
-        pass
-    return None
+def _pose(numbers: list[float]) -> Bone | None:
+    """The first seven numbers, where they are finite and their rotation is one; else None."""
+    pose = tuple(map(float, numbers[:7]))
+    # false for NaN
+    sound = len(pose) == 7 and sum(map(abs, pose)) < 1e6 and sum(value * value for value in pose[3:]) > 1e-6
+    return pose if sound else None
 
 
 def gaze_of_bones(bones: dict[str, Bone]) -> Float[Array, "2 2"] | None:
@@ -273,19 +245,16 @@ class VmcEncoder:
         self.root = build_message("/VMC/Ext/Root/Pos", "root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
         self.ok = build_message("/VMC/Ext/OK", 1, 3, 0, 1)
 
-    def encode(
-        self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], seconds: float | int,
-        face: FaceFrame | None = None,
-    ) -> bytes:  # fmt: skip
+    def encode(self, pose: Pose, seconds: float | int) -> bytes:
         """The bundle of a pose; `seconds` is the sender's clock. A gaze is sent as the eyeLook* shapes say it."""
         positions = self.offsets.copy()
-        positions[0] = root * np.array([-1.0, 1, 1])
-        rotations = quaternion_from_axis_angle(axis_angle) * np.array([1.0, -1, -1, 1])
+        positions[0] = pose.root * np.array([-1.0, 1, 1])
+        rotations = quaternion_from_axis_angle(pose.axis_angle) * np.array([1.0, -1, -1, 1])
         numbers = np.concatenate([positions, rotations], 1).astype(">f4")
         bones = [head + row.tobytes() for head, row in zip(self.heads, numbers, strict=True)]
         blends = []
-        if face is not None:
-            shapes = zip(SHAPES, face.weights.tolist(), strict=True)
+        if pose.face is not None:
+            shapes = zip(SHAPES, pose.face.weights.tolist(), strict=True)
             blends = [build_message("/VMC/Ext/Blend/Val", name, weight) for name, weight in shapes]
             blends.append(build_message("/VMC/Ext/Blend/Apply"))
         return build_bundle([self.ok, build_message("/VMC/Ext/T", float(seconds)), self.root, *bones, *blends])

@@ -2,11 +2,15 @@
 
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const BLOCKS = { Frame: 0, Bones: 1, Turns: 2 };
-// name, components, of which array, bytes from one to the next (0: no others lie between) and to the first
+// name, components, of which array, their type, bytes from one to the next (0: no others lie between) and to the first
 const ATTRIBUTES = [
-  ["position", 3, "position", 0, 0], ["uv", 2, "uv", 0, 0], ["view_mean", 3, "view_mean", 0, 0],
-  ["view_seen", 1, "view_seen", 0, 0], ["view_q0", 3, "view_q", 24, 0], ["view_q1", 3, "view_q", 24, 12],
+  ["position", 3, "position", "FLOAT", 0, 0], ["uv", 2, "uv", "FLOAT", 0, 0], ["view_mean", 3, "view_mean", "FLOAT", 0, 0],
+  ["view_seen", 1, "view_seen", "FLOAT", 0, 0], ["view_q0", 3, "view_q", "FLOAT", 24, 0],
+  ["view_q1", 3, "view_q", "FLOAT", 24, 12], ["joints", 4, "joints", "UNSIGNED_BYTE", 0, 0],
+  ["weights", 4, "weights", "UNSIGNED_BYTE", 0, 0], ["face_slot", 1, "face_slot", "UNSIGNED_INT", 0, 0],
 ];
+// attributes that are whole numbers in the shader too
+const WHOLE = ["joints", "face_slot"];
 
 // Pixels that are drawn for so many; share: of each side.
 function drawnSize(share, width, height) {
@@ -34,7 +38,7 @@ function strongest(weights, joints) {
 class Drawing {
   // facts: the player's, with an avatar, and programs by view mode; changed: called when all has to be drawn anew
   constructor(canvas, { avatar, programs }, changed = () => {}) {
-    Object.assign(this, { canvas, avatar, sources: programs });
+    Object.assign(this, { canvas, avatar, sources: programs, views: Object.keys(programs) });
     this.skeleton = {
       parents: avatar.parents,
       offsets: avatar.offsets,
@@ -53,10 +57,6 @@ class Drawing {
       changed();
     });
     this.begin();
-  }
-
-  get views() {
-    return Object.keys(this.sources);
   }
 
   // What belongs to a context, made anew when the browser has lost it.
@@ -145,21 +145,16 @@ class Drawing {
         gl.bufferData(target, weights(name) ? strongest(mesh.weights, joints) : mesh[name], gl.STATIC_DRAW);
         return made;
       });
-      const point = (attribute, name, tell) => {
+      for (const [attribute, count, name, type, step, first] of ATTRIBUTES) {
         const place = gl.getAttribLocation(program, attribute);
-        if (place < 0) return;
+        if (place < 0 || !mesh[name]) continue;
         const made = buffer(name);
         gl.bindVertexArray(array);
         gl.bindBuffer(gl.ARRAY_BUFFER, made);
         gl.enableVertexAttribArray(place);
-        tell(place);
-      };
-      for (const [attribute, count, name, step, first] of ATTRIBUTES)
-        point(attribute, name, (place) => gl.vertexAttribPointer(place, count, gl.FLOAT, false, step, first));
-      point("joints", "joints", (place) => gl.vertexAttribIPointer(place, 4, gl.UNSIGNED_BYTE, 0, 0));
-      point("weights", "weights", (place) => gl.vertexAttribPointer(place, 4, gl.UNSIGNED_BYTE, true, 0, 0));
-      if (mesh.face_slot)
-        point("face_slot", "face_slot", (place) => gl.vertexAttribIPointer(place, 1, gl.UNSIGNED_INT, 0, 0));
+        if (WHOLE.includes(attribute)) gl.vertexAttribIPointer(place, count, gl[type], step, first);
+        else gl.vertexAttribPointer(place, count, gl[type], name === "weights", step, first);
+      }
       const faces = buffer("faces");
       gl.bindVertexArray(array);
       gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, faces);
@@ -242,20 +237,18 @@ class Drawing {
     return this.targets.get(key).framebuffer;
   }
 
-  forget() {
-    for (const { framebuffer, attached } of this.targets.values()) {
-      this.gl.deleteFramebuffer(framebuffer);
-      attached.forEach((buffer) => this.gl.deleteRenderbuffer(buffer));
-    }
-    this.targets.clear();
-  }
-
   // One frame of width x height pixels into a framebuffer of its own, which is returned. rung: {view, level, halvings, joints};
   // camera: {target, distance, azimuth, elevation, fov}; background: three numbers of [0, 1]. The level is loaded.
   frame(pose, camera, rung, width, height, background, samples = 0) {
     const gl = this.gl, { level = 0, halvings = 0, joints = 4 } = rung;
     // a window that is dragged larger leaves no pile of them; here, where nobody holds one
-    if (this.targets.size > 12) this.forget();
+    if (this.targets.size > 12) {
+      for (const { framebuffer, attached } of this.targets.values()) {
+        gl.deleteFramebuffer(framebuffer);
+        attached.forEach((buffer) => gl.deleteRenderbuffer(buffer));
+      }
+      this.targets.clear();
+    }
     // a level without features has the paper's colors
     const view = this.avatar.levels[level].features ? rung.view : "off";
     const into = this.target(width, height, samples), array = this.array(level, view, joints), program = this.program(view, joints);

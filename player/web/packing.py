@@ -16,7 +16,6 @@ bytes, each the difference to Paeth's guess from its neighbours (as in PNG).
 import io
 import zlib
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8, UInt32
@@ -84,39 +83,30 @@ def packed_level(avatar: Avatar, number: int, *, faced: bool = False) -> Packed:
         _bytes("weights", skin["weights"]),
         ("faces", {"kind": "indices", "count": faces.size}, _differences(faces.reshape(-1, 1).astype(np.int64), 4)),
     ]
-    face = packed_face(level, avatar.eyes) if faced and level.face is not None and avatar.eyes else None
-    if face is not None:
-        slots = face.slots[order].astype(np.int64)[:, None]
+    color, face = io.BytesIO(), {}
+    Image.fromarray(level.base_color).save(color, "WEBP", lossless=True, quality=60, method=4, exact=True)
+    blobs = {f"{named}.color": color.getvalue()}
+    if faced and level.face is not None and avatar.eyes:
+        face["face"], blobs[f"{named}.face"], slots = packed_face(level, avatar.eyes)
+        slots = slots[order].astype(np.int64)[:, None]
         arrays.insert(-1, ("face_slot", {"kind": "indices", "count": len(slots)}, _differences(slots, 4)))
-    blobs = {f"{named}.mesh": zlib.compress(b"".join(data for _, _, data in arrays), 9)}
-    blobs[f"{named}.color"] = lossless_webp(level.base_color)
+    blobs[f"{named}.mesh"] = zlib.compress(b"".join(data for _, _, data in arrays), 9)
     facts: JsonObject = {
         "vertices": len(order),
         "triangles": len(faces),
         "arrays": [{"name": name, **how} for name, how, _ in arrays],
         "radii": Poser(avatar, level).radii.round(6).tolist(),
         "color": {"size": list(level.base_color.shape[1::-1])},
-        "features": None,
+        "features": None if level.features is None else {"size": list(level.features.shape[1::-1])},
+        **face,
     }
-    if face is not None:
-        facts["face"], blobs[f"{named}.face"] = face.facts, face.shapes
     if level.features is not None:
         blobs[f"{named}.features"] = zlib.compress(paeth(level.features), 9)
-        height, width, _ = level.features.shape
-        facts["features"] = {"size": [width, height]}
     return Packed(facts, blobs)
 
 
-class PackedFace(NamedTuple):
+def packed_face(level: Level, eyes: tuple[Eye, Eye]) -> tuple[JsonObject, bytes, UInt32[np.ndarray, "vertices"]]:
     """What moves the face of one level: what face.js must know, the offsets of its shapes, the slot of each vertex."""
-
-    facts: JsonObject
-    shapes: bytes
-    slots: UInt32[np.ndarray, "vertices"]
-
-
-def packed_face(level: Level, eyes: tuple[Eye, Eye]) -> PackedFace:
-    """The shapes of a level and how its eyes turn, as the page reads them."""
     blend, face = FaceBlend(level, eyes), level.face
     assert face is not None, "asked of levels with a face"
     _, how, data = _range("shapes", face.offsets.transpose(1, 0, 2).reshape(len(face.vertices), -1), COARSE)
@@ -130,7 +120,7 @@ def packed_face(level: Level, eyes: tuple[Eye, Eye]) -> PackedFace:
         "aside": [-YAW, YAW],
         "upwards": [-DOWN, UP],
     }
-    return PackedFace(facts, zlib.compress(data, 9), blend.slots)
+    return facts, zlib.compress(data, 9), blend.slots
 
 
 def packed_motion(clip: Clip) -> Packed:
@@ -147,12 +137,6 @@ def packed_motion(clip: Clip) -> Packed:
         _, facts["face"], rows = _range("face", np.concatenate([clip.face, clip.gaze.reshape(-1, 4)], axis=1), COARSE)
         data += rows
     return Packed(facts, {"motion": zlib.compress(data, 9)})
-
-
-def lossless_webp(image: UInt8[np.ndarray, "height width 3"]) -> bytes:
-    out = io.BytesIO()
-    Image.fromarray(image).save(out, "WEBP", lossless=True, quality=60, method=4, exact=True)
-    return out.getvalue()
 
 
 def paeth(image: UInt8[np.ndarray, "height width planes"]) -> bytes:
@@ -175,8 +159,7 @@ def _range(name: str, values: Float[np.ndarray, "n components"], width: int) -> 
 
 
 def _halves(name: str, values: Float[np.ndarray, "n components"]) -> tuple[str, JsonObject, bytes]:
-    """Half floats: for values whose sizes differ by more than a range of 16 bits resolves. What is larger than
-    they hold is a cone too narrow to leave."""
+    """Half floats, for sizes that a range of 16 bits cannot resolve. What is too large: cones too narrow to leave."""
     bits = np.clip(values, -65504, 65504).astype(np.float16).view(np.uint16).astype(np.int64)
     return name, {"kind": "half", "bytes": COARSE, "components": values.shape[1]}, _differences(bits, COARSE)
 

@@ -51,8 +51,8 @@ class Viewer {
       this.dirty = true;
       this.remember();
     }, () => placeAt(this.motion, this.settings.frame).map((value, k) => value - this.motion.places[k]));
-    Object.assign(this.orbit, { own: this.settings.camera, fitted: this.settings.fitted });
-    const { views } = this.drawing, settings = this.settings;
+    const { settings, drawing: { views } } = this;
+    Object.assign(this.orbit, { own: settings.camera, fitted: settings.fitted });
     if (!views.includes(settings.view)) settings.view = views.includes(facts.view) ? facts.view : "off";
     this.dirty = true;
     this.last = null;
@@ -90,11 +90,6 @@ class Viewer {
     return performance.now();
   }
 
-  get rung() {
-    const { view, level, halvings, joints, share } = this.settings;
-    return { view, level, halvings, joints, share };
-  }
-
   get camera() {
     return this.orbit.camera;
   }
@@ -112,7 +107,7 @@ class Viewer {
     this.dirty = true;
     if (drawing.gl.isContextLost() || !drawing.loaded(settings.level)) return;
     const samples = settings.edges ? drawing.samples : 0, pose = poseAt(this.motion, settings.frame);
-    this.shown = drawing.paint(pose, this.camera, this.rung, BACKGROUND, samples);
+    this.shown = drawing.paint(pose, this.camera, settings, BACKGROUND, samples);
     this.dirty = false;
   }
 
@@ -146,34 +141,26 @@ class Viewer {
     this.pricing = setTimeout(() => this.price(), 300);
   }
 
-  controls() {
-    new ResizeObserver(() => this.resize()).observe(this.canvas);
-    window.addEventListener("keydown", (event) => this.key(event));
-    this.buttons();
-  }
-
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, input[type=range]")) return;
-    const { settings, motion } = this, step = (by) =>
+    const { settings, motion, drawing: { views } } = this, step = (by) =>
       this.set({ play: false, frame: (Math.floor(settings.frame + 1e-6) + by + motion.frames) % motion.frames });
     const does = {
       " ": () => this.set({ play: !settings.play && motion.frames > 1 }),
       ",": () => step(-1), ".": () => step(1), ArrowLeft: () => step(-1), ArrowRight: () => step(1),
       Home: () => this.set({ frame: 0 }), r: () => this.orbit.reset(),
-      v: () => this.nextView(), g: () => this.set({ bar: !settings.bar }),
+      v: () => this.set({ view: views[(views.indexOf(settings.view) + 1) % views.length] }),
+      g: () => this.set({ bar: !settings.bar }),
     }[event.key];
     if (!does || event.target.tagName === "BUTTON" && event.key === " ") return;
     event.preventDefault();
     does();
   }
 
-  nextView() {
-    const { views } = this.drawing;
-    this.set({ view: views[(views.indexOf(this.settings.view) + 1) % views.length] });
-  }
-
-  buttons() {
+  controls() {
     const { settings, drawing, motion, facts } = this;
+    new ResizeObserver(() => this.resize()).observe(this.canvas);
+    window.addEventListener("keydown", (event) => this.key(event));
     find("views").append(...drawing.views.map((view) => {
       const button = document.createElement("button");
       Object.assign(button, { textContent: VIEW_NAMES[view], title: VIEW_HELP[view] });
@@ -217,7 +204,7 @@ class Viewer {
   price() {
     if (document.hidden || this.drawing.gl.isContextLost()) return;
     const { width, height } = this.canvas, poses = [poseAt(this.motion, this.settings.frame)];
-    const ms = this.drawing.measure(poses, this.camera, this.rung, [width, height], { groups: 3, atLeast: 10 });
+    const ms = this.drawing.measure(poses, this.camera, this.settings, [width, height], { groups: 3, atLeast: 10 });
     find("price").textContent = `${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame here`;
     this.dirty = true;
   }
@@ -241,10 +228,9 @@ class Viewer {
 }
 
 async function view() {
-  const viewer = new Viewer(JSON.parse(find("page-facts").textContent));
   // for whoever embeds the page, and for tests
-  window.selfscan = viewer;
-  await viewer.start();
+  window.selfscan = new Viewer(JSON.parse(find("page-facts").textContent));
+  await window.selfscan.start();
 }
 
 view().catch(failed);

@@ -1,13 +1,14 @@
 """The table of keys: what each does, in words and in code. From it come the keys (player/window/keyboard.py), the
-help over the picture and in `selfscan play --help`, the tooltips of buttons, and the tables of docs/play.md and
-docs/posing.md (experiments/key_docs.py).
+help over the picture and in `selfscan play --help` (here, at the end), the tooltips of buttons, and the tables of
+docs/play.md and docs/posing.md (experiments/key_docs.py).
 
 An `Action` is one thing that keys do; a button that does the same is made from it. Actions are grouped by when their
 keys hold; those of posing go before the others.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import TYPE_CHECKING, NamedTuple
 
 from avatar.skeleton import JOINTS
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from player.window.timeline import Timeline
 
 When = Callable[["WindowParts"], bool]
+# columns of a terminal
+WIDTH = 112
 
 
 def _always(_parts: "WindowParts") -> bool:
@@ -47,6 +50,11 @@ class KeyGroup(NamedTuple):
     title: str
     actions: tuple[Action, ...]
     when: When = _always
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Keys, and what they do."""
+        return [(", ".join(action.shown_keys), action.means) for action in self.actions]
 
 
 def shown_key(key: str) -> str:
@@ -105,10 +113,6 @@ def posed(act: Callable[["PoseEdit"], object]) -> Callable[["WindowParts"], None
     return do
 
 
-def is_dragging(parts: "WindowParts") -> bool:
-    return parts.posing.edit is not None and parts.posing.edit.tool.held is not None
-
-
 PLAY = Action("play or pause", ("space",), timed(lambda line: line.toggle()))
 STEP_BACK = Action("pause and go one frame back", (",",), timed(lambda line: line.step(-1)))
 STEP_ON = Action("pause and go one frame on", (".",), timed(lambda line: line.step(1)))
@@ -155,7 +159,10 @@ UNDO = Action("undo (500 steps)", ("ctrl+z",), posed(lambda edit: edit.undo()))
 REDO = Action("redo", ("ctrl+shift+z", "ctrl+y"), posed(lambda edit: edit.redo()))
 MIRROR = Action("mirror the pose; place and heading stay", ("m",), posed(lambda edit: edit.session.mirror()))
 TO_GROUND = Action("set the body on the ground", ("n",), posed(lambda edit: edit.to_ground()))
-GIVE_UP = Action("give up the drag", ("escape",), posed(lambda edit: edit.tool.cancel()), when=is_dragging)
+GIVE_UP = Action(
+    "give up the drag", ("escape",), posed(lambda edit: edit.tool.cancel()),
+    when=lambda parts: parts.posing.edit is not None and parts.posing.edit.tool.held is not None,
+)  # fmt: skip
 CLOSE_HELP = Action("close the list of keys", ("escape",), toggle_help, when=lambda parts: parts.state.layout.help_on)
 
 VIDEO = KeyGroup("Source video", (WIPE_LEFT, WIPE_RIGHT), lambda parts: parts.wipe is not None)
@@ -191,3 +198,25 @@ def found(key: str, parts: "WindowParts") -> Action | None:
     groups = [group for group in (POSING, *GROUPS) if group.when(parts)]
     actions = [action for group in groups for action in group.actions if key in action.keys and action.when(parts)]
     return actions[0] if actions else None
+
+
+def mouse_rows(groups: Sequence[KeyGroup]) -> list[tuple[str, str]]:
+    return [*MOUSE, *(MOUSE_ON_VIDEO if VIDEO in groups else ())]
+
+
+def command_line_help() -> str:
+    """Keys and mouse for `selfscan play --help`, at most WIDTH columns wide."""
+    lines = ["keys"]
+    for group in GROUPS:
+        lines += [f"  {group.title.lower()}", *_two_columns(group.rows)]
+    return "\n".join([*lines, "mouse", *_two_columns(mouse_rows(GROUPS))])
+
+
+def _two_columns(cells: list[tuple[str, str]]) -> list[str]:
+    """Lines with two cells each where they fit, else with one."""
+    wide = max(len(left) for left, _ in cells) + 2
+    texts = [f"{left:<{wide}s}{right}" for left, right in cells]
+    half = -(-len(texts) // 2)
+    wide = max(map(len, texts[:half])) + 3
+    lines = [f"    {a:<{wide}s}{b}".rstrip() for a, b in zip_longest(texts[:half], texts[half:], fillvalue="")]
+    return lines if max(map(len, lines)) <= WIDTH else [f"    {text}" for text in texts]

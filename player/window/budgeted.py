@@ -32,7 +32,7 @@ class Budgeted:
         priced, chosen = rung_within(look.context, scene, files, budget=budget)
         print(choice_words(chosen, priced, budget))
         self.controller: BudgetController | None = BudgetController(priced, budget, chosen)
-        self._show()
+        look.show(chosen.rung)
 
     def frame(self, ms: float, *, filming: bool) -> None:
         """A frame took so long. A film keeps what it began with."""
@@ -42,8 +42,8 @@ class Budgeted:
         if self._look.effects.view != rung.view or self._look.rung != rung:
             self.controller = None
             self._messages.say("budget off: the view was changed by hand")
-        elif self.controller.frame(ms) is not None:
-            self._show()
+        elif changed := self.controller.frame(ms):
+            self._look.show(changed.rung)
 
     @property
     def words(self) -> str:
@@ -57,10 +57,6 @@ class Budgeted:
         if better is None:
             return words
         return f"{words}; {better.rung.name} {(better.ms_median - now.ms_median) * self.controller.load:.1f} ms more"
-
-    def _show(self) -> None:
-        assert self.controller is not None
-        self._look.show(self.controller.current.rung)
 
 
 class EffectPrices:

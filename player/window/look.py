@@ -8,21 +8,20 @@ from player.budget.ladder import Frame
 from player.budget.measure import BudgetScene
 from player.budget.rung import Rung
 from player.effects.background import Background
-from player.gl.context import Context
 from player.scene.effects import Effects
 from player.scene.renderer import Renderer
 from player.window.show import Show
-from player.window.state import Messages
+from player.window.state import WindowState
 
 
 class Appearance:
     """The renderer of the window and what it was asked for. Over a video the background is drawn last, under all."""
 
-    def __init__(self, context: Context, show: Show, messages: Messages):
-        self.context, self.avatars, self._messages = context, show.avatars, messages
-        self.effects, self.background = show.effects, show.background
+    def __init__(self, state: WindowState, show: Show):
+        self.context, self.avatars, self._messages = state.layout.screen.context, state.avatars, state.messages
+        self.effects, self.background = show.scene.effects, show.scene.background
         # what it draws of the avatars: level of detail, textures, joints
-        self.rung = Rung("as the file is", show.effects.view)
+        self.rung = Rung("as the file is", self.effects.view)
         self._over_video = show.capture is not None
         self.renderer = self._new_renderer(self.effects, self.background, self.rung)
 
@@ -30,28 +29,17 @@ class Appearance:
         """What is drawn now in such frames, to be timed."""
         return BudgetScene(self.avatars, frames, size, self.effects, self.background, reads_back=False)
 
-    @property
-    def level(self) -> int:
-        """Of detail, 0 the finest."""
-        return self.rung.level
-
     def show(self, rung: Rung) -> None:
         """Draw as a rung says, but for its share of pixels; where that cannot be, it is said and nothing changes."""
-        self._change(replace(self.effects, view=rung.view), self.background, rung)
+        self.change(effects=replace(self.effects, view=rung.view), rung=rung)
 
     def change(
-        self, *, effects: Effects | None = None, background: Background | None = None, level: int | None = None
-    ) -> bool:
-        """Other effects, background or level of detail; where that cannot be, it is said and nothing changes. Whether
-        it is drawn now."""
-        rung = self.rung if level is None or level == self.level else Rung("by hand", self.effects.view, level)
-        return self._change(effects or self.effects, background or self.background, rung)
-
-    def renew(self) -> bool:
-        """Make what is drawn anew: avatars are others, or otherwise chosen. Whether they can be drawn so."""
-        return self._change(self.effects, self.background, self.rung, anew=True)
-
-    def _change(self, effects: Effects, background: Background, rung: Rung, *, anew: bool = False) -> bool:
+        self, *, effects: Effects | None = None, background: Background | None = None, rung: Rung | None = None,
+        anew: bool = False,
+    ) -> bool:  # fmt: skip
+        """Other effects, background or detail; `anew` where avatars are others. Whether it is drawn; else this is said,
+        and nothing changes."""
+        effects, background, rung = effects or self.effects, background or self.background, rung or self.rung
         try:
             if anew or replace(rung, name=self.rung.name, view=self.rung.view) != self.rung:
                 new = self._new_renderer(effects, background, rung)

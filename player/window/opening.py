@@ -2,7 +2,7 @@
 
 An avatar takes the place of the selected one, a motion moves it, films, pictures and panoramas go behind everyone. A
 scene replaces all that is shown (player/window/window.py). A file that cannot be read is named in one line, and what
-was shown stays.
+was shown stays. With --follow, an avatar's file that was replaced is shown anew (`selfscan make` writes better ones).
 """
 
 import os
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 GLTF = (".glb", ".gltf", ".vrm", ".vrma")
 FILMS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+# what differs when a file is replaced
+Stamp = tuple[int, int]
 # what a background is called in scenes
 BACKGROUNDS = {"panorama": "hdr", "picture": "image", "film": "video"}
 KINDS = dict.fromkeys([suffix for reader in READERS for suffix in reader.suffixes if suffix[0] == "."], "motion")
@@ -47,6 +49,15 @@ class Opening:
         self.listed = False
         self.recent: list[str] = []
         self.files: list[tuple[Path, str]] = []
+        # what each avatar's file was when it was shown
+        self.stamps: dict[str, Stamp | None] = {}
+        self.due()
+
+    def due(self) -> list[int]:
+        """The avatars whose file is another one than was shown last, where files are followed."""
+        paths = [(k, entry.path) for k, entry in enumerate(self.scene.avatars) if self.show.followed]
+        files = [(k, path, stamp_of(Path(path))) for k, path in paths if path not in BUILTIN_AVATARS]
+        return [k for k, path, stamp in files if stamp not in (None, self.stamps.setdefault(path, stamp))]
 
     def toggle(self) -> None:
         self.listed = not self.listed
@@ -141,7 +152,7 @@ def put_avatar(parts: "WindowParts", index: int, entry: SceneAvatar) -> bool:
     before = state.avatars[index], state.playback.tracks[index]
     track.start, track.at, track.turn = before[1].start, before[1].at, before[1].turn
     state.avatars[index], state.playback.tracks[index] = avatar, track
-    if not parts.look.renew():
+    if not parts.look.change(anew=True):
         state.avatars[index], state.playback.tracks[index] = before
         return False
     state.selection.names[index] = Path(entry.path).stem
@@ -176,3 +187,25 @@ def _put_behind(parts: "WindowParts", kind: str, path: str) -> bool:
     if kind == "panorama":
         effects = replace(effects, light=Light(by="panorama"))
     return parts.look.change(effects=effects, background=Background(BACKGROUNDS[kind], path=path))
+
+
+def renew(parts: "WindowParts") -> None:
+    """Show avatars whose files were replaced; camera, time, place and hand-made poses stay. A file that cannot be read
+    is named, and its avatar stays as it is."""
+    for k in parts.opening.due():
+        entry = parts.opening.scene.avatars[k]
+        parts.opening.stamps[entry.path] = stamp_of(Path(entry.path))
+        try:
+            if put_avatar(parts, k, entry):
+                parts.state.messages.say(f"{entry.path}: a new one is shown")
+        except AssetError as error:
+            parts.state.messages.say(str(error))
+
+
+def stamp_of(file: Path) -> Stamp | None:
+    """What differs when a file is replaced; None where there is none."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino

@@ -1,7 +1,7 @@
 """The parts of the window, each in a file of its own. Keys, mouse and panels act on them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from pathlib import Path
 
 from player.window.budgeted import Budgeted, EffectPrices
 from player.window.look import Appearance
@@ -15,44 +15,31 @@ from player.window.viewpoint import Viewpoint
 from player.window.wipe import Wipe
 
 
-@dataclass
 class WindowParts:
-    """What can be changed in the window. `wipe` is there with a source video, `budget` where one was asked for."""
+    """What can be changed in the window, at first as a show was opened."""
 
-    state: WindowState
-    viewpoint: Viewpoint
-    look: Appearance
-    posing: Posing
-    recorder: Recorder
-    wipe: Wipe | None
-    opening: Opening
-    budget: Budgeted | None = None
-    prices: EffectPrices = field(default_factory=EffectPrices)
-    # asked to close
-    closing: bool = False
+    def __init__(self, show: Show, screen: Screen, clock: Callable[[], float], messages: Messages):
+        self.state = WindowState(
+            avatars=show.avatars,
+            playback=show.playback,
+            selection=AvatarSelection([Path(entry.path).stem for entry in show.scene.avatars]),
+            layout=WindowLayout(screen),
+            last=LastFrame(show.playback.poses()),
+            messages=messages,
+        )
+        self.viewpoint = Viewpoint(self.state, show)
+        self.look = Appearance(self.state, show)
+        self.posing = Posing(self.state)
+        self.recorder = Recorder(self.state, clock)
+        # over the source video, where there is one
+        self.wipe = Wipe(show.capture, self.state.layout) if show.capture is not None else None
+        self.opening = Opening(show)
+        # where one was asked for
+        self.budget: Budgeted | None = None
+        self.prices = EffectPrices()
+        # asked to close
+        self.closing = False
 
     def close(self) -> None:
         """Ask the window to close; where a pose would be lost, the second time."""
         self.closing = self.posing.may_leave()
-
-
-def opened_parts(show: Show, screen: Screen, clock: Callable[[], float], messages: Messages) -> WindowParts:
-    """The parts for a show, as it was opened."""
-    capture = show.capture
-    state = WindowState(
-        avatars=show.avatars,
-        playback=show.playback,
-        selection=AvatarSelection(show.names),
-        layout=WindowLayout(screen),
-        last=LastFrame(show.playback.poses()),
-        messages=messages,
-    )
-    return WindowParts(
-        state=state,
-        viewpoint=Viewpoint(state, show.cameras, capture=capture, follow=show.follow),
-        look=Appearance(screen.context, show, messages),
-        posing=Posing(state),
-        recorder=Recorder(state, clock),
-        wipe=Wipe(screen.context, capture) if capture is not None else None,
-        opening=Opening(show),
-    )

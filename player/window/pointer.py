@@ -12,8 +12,6 @@ from avatar.skinning import SkinWeights, dense_weights
 from player.draw.drawing import GivenPose
 from player.draw.posing import posed_vertices
 from player.window.parts import WindowParts
-from player.window.pose_tool import PoseTool
-from player.window.screen import Screen
 
 # window units that a click may wander
 CLICK = 4.0
@@ -35,20 +33,11 @@ class Pointer:
     """Where the pointer is, window units, and what it holds: nothing yet, the camera, the wipe's line or the tool."""
 
     def __init__(self, parts: WindowParts):
-        self.parts = parts
+        self.parts, self._screen = parts, parts.state.layout.screen
         self.at: tuple[float, float] = (0.0, 0.0)
         # button and where it went down
         self._pressed: tuple[int, float, float] | None = None
         self._holds: Hold = "nothing"
-
-    @property
-    def _tool(self) -> PoseTool | None:
-        edit = self.parts.posing.edit
-        return None if edit is None else edit.tool
-
-    @property
-    def _screen(self) -> Screen:
-        return self.parts.state.layout.screen
 
     @property
     def beside_middle(self) -> tuple[float, float]:
@@ -58,23 +47,30 @@ class Pointer:
             return 0.0, 0.0
         return float((x - camera.K[0, 2]) / camera.K[0, 0]), float((y - camera.K[1, 2]) / camera.K[1, 1])
 
+    @property
+    def over_picture(self) -> bool:
+        """Whether it is in the area that is free of panels."""
+        x, y = self._screen.pixel(*self.at)
+        left, top, width, height = self.parts.state.layout.area
+        return left <= x < left + width and top <= y < top + height
+
     def move(self, x: float | int, y: float | int) -> None:
         """The pointer moved."""
-        cameras, wipe, tool = self.parts.viewpoint.cameras, self.parts.wipe, self._tool
+        cameras, wipe, edit = self.parts.viewpoint.cameras, self.parts.wipe, self.parts.posing.edit
         dx, dy = x - self.at[0], y - self.at[1]
         self.at = (float(x), float(y))
         pixel = self._screen.pixel(x, y)
         if self._pressed is None:
-            if tool is not None:
-                tool.hover(*pixel)
+            if edit is not None:
+                edit.tool.hover(*pixel)
             return
         button, x0, y0 = self._pressed
         if self._holds == "nothing" and np.hypot(x - x0, y - y0) > CLICK:
             self._holds, dx, dy = "camera", x - x0, y - y0
         if self._holds == "wipe" and wipe is not None:
-            wipe.move_to(pixel[0], self.parts.state.layout.area)
-        elif self._holds == "tool" and tool is not None:
-            tool.drag(*pixel)
+            wipe.move_to(pixel[0])
+        elif self._holds == "tool" and edit is not None:
+            edit.tool.drag(*pixel)
         elif self._holds == "camera" and button == 0:
             cameras.turn(dx, dy)
         elif self._holds == "camera":
@@ -89,22 +85,23 @@ class Pointer:
         wipe, edit = self.parts.wipe, self.parts.posing.edit
         if edit is not None and edit.tool.press(x, y):
             self._holds = "tool"
-        elif wipe is not None and self.parts.viewpoint.shows_video and wipe.near(x, self.parts.state.layout):
+        elif wipe is not None and self.parts.viewpoint.shows_video and wipe.near(x):
             self._holds = "wipe"
 
     def release(self, button: int) -> None:
         if self._pressed is None or self._pressed[0] != button:
             return
-        if self._holds == "tool" and self._tool is not None:
-            self._tool.release()
+        edit = self.parts.posing.edit
+        if self._holds == "tool" and edit is not None:
+            edit.tool.release()
         elif self._holds == "nothing" and button == 0:
             self.pick(*self._screen.pixel(*self.at))
         self._pressed, self._holds = None, "nothing"
 
     def pick(self, x: float | int, y: float | int) -> Picked | None:
         """Select the avatar and joint under a pixel; beside them the joint is let go."""
-        state, tool = self.parts.state, self._tool
-        if state.last.camera is None or (tool is not None and tool.pick(x, y)):
+        state, edit = self.parts.state, self.parts.posing.edit
+        if state.last.camera is None or (edit is not None and edit.tool.pick(x, y)):
             return None
         detail = self.parts.look.renderer.detail
         levels = [avatar.level(number) for avatar, number in zip(state.avatars, detail, strict=True)]

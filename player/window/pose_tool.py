@@ -16,7 +16,6 @@ from numpy import ndarray as Array
 from avatar.camera import Camera, pixel_rays, project
 from avatar.limits import joint_angles, limits
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import joint_transforms
 from player.pose.history import KeptPose
 from player.pose.ik import LIMBS
 from player.pose.session import PoseSession
@@ -50,6 +49,8 @@ class Drag:
     """What the pointer holds, and the pose in which it took hold."""
 
     start: KeptPose
+    # the joints' places in that pose, world
+    places: Float[Array, "52 3"]
     pressed: tuple[float, float] | None = None
     # a handle, and from the pointer to it, metres
     handle: PullHandle | None = None
@@ -85,13 +86,13 @@ class PoseTool:
         return selection.joint if selection.avatar == self.index else None
 
     @property
-    def _camera(self) -> Camera | None:
-        return self.state.last.camera
-
-    @property
     def _scale(self) -> float:
         """Pixels a window unit."""
         return self.state.layout.screen.scale
+
+    def _places(self) -> Float[Array, "52 3"]:
+        """Of the joints, world."""
+        return self.session.world()[:, :3, 3]
 
     def ring_axes(self) -> Float[Array, "3 3"]:
         """Axes of the rings as columns, world: x, y and z, or the joint's own. Those are flexion, abduction and
@@ -111,12 +112,11 @@ class PoseTool:
 
     def under(self, x: float, y: float) -> PullHandle | None:
         """The handle at a pixel; those of ends come first."""
-        camera = self._camera
+        camera = self.state.last.camera
         # nothing is seized that is not shown
         if camera is None or not self.state.layout.panels_drawn:
             return None
-        places = self.session.world()[[h.joint for h in HANDLES], :3, 3]
-        pixels, depth = project(camera, places)
+        pixels, depth = project(camera, self._places()[[handle.joint for handle in HANDLES]])
         distance = np.where(depth > 1e-3, np.linalg.norm(pixels - [x, y], axis=1), np.inf) / self._scale
         ends = distance[:4]
         if ends.min() <= HANDLE:
@@ -128,24 +128,35 @@ class PoseTool:
 
     def press(self, x: float, y: float) -> bool:
         """Take hold of a handle; False where there is none."""
-        camera, found = self._camera, self.under(x, y)
+        camera, found = self.state.last.camera, self.under(x, y)
         if camera is None or found is None:
             return False
-        pixel = np.array([x, y], np.float64)
-        place = self.session.world()[found.joint, :3, 3]
-        self.held = Drag(self.session.pose, (x, y), found, place - on_plane_through(camera, place, pixel))
+        places = self._places()
+        place = places[found.joint]
+        offset = place - on_plane_through(camera, place, np.array([x, y], np.float64))
+        self.held = Drag(self.session.pose, places, (x, y), found, offset)
         return True
 
     def drag(self, x: float, y: float) -> None:
         """Move what is held."""
-        held, camera = self.held, self._camera
+        held, camera = self.held, self.state.last.camera
         if held is None or camera is None or held.handle is None or held.pressed is None or held.offset is None:
             return
         if not held.moved and np.hypot(x - held.pressed[0], y - held.pressed[1]) <= CLICK * self._scale:
             return
         held.moved = True
-        pixel = np.array([x, y], np.float64)
-        self._pull(held.handle, held, on_plane_through(camera, self._start_place(held), pixel) + held.offset)
+        place = held.places[held.handle.joint]
+        # all of a drag is at the depth at which it began
+        target = on_plane_through(camera, place, np.array([x, y], np.float64)) + held.offset
+        session, start, name = self.session, held.start, held.handle.name
+        if held.handle.kind == "body":
+            session.move(start, start.root + target - place, drag=held)
+        elif held.handle.kind == "end":
+            session.reach(start, name, target, follow=self.follow, drag=held)
+        else:
+            limb = LIMBS[name]
+            pole = target - held.places[limb.first]
+            session.reach(start, name, held.places[limb.end], follow=self.follow, pole=pole, drag=held)
 
     def turn(self, axes: Float[Array, "3 3"]) -> None:
         """A ring is held and turned so that the rings' axes are these."""
@@ -153,7 +164,7 @@ class PoseTool:
         if joint is None:
             return
         if self.held is None:
-            self.held = Drag(self.session.pose, seized=self.ring_axes())
+            self.held = Drag(self.session.pose, self._places(), seized=self.ring_axes())
         held = self.held
         assert held.seized is not None
         # ImGuizmo's numbers are of single precision: a press alone is no turn
@@ -162,22 +173,6 @@ class PoseTool:
         held.moved = True
         held.axes = axes
         self.session.turn(held.start, joint, axis_angle_from_matrix(axes @ held.seized.T), 1.0, drag=held)
-
-    def _start_place(self, held: Drag) -> Float[Array, "3"]:
-        """Where the handle was: all of a drag is at that depth."""
-        assert held.handle is not None
-        return _places(self.session, held.start)[held.handle.joint]
-
-    def _pull(self, handle: PullHandle, held: Drag, target: Float[Array, "3"]) -> None:
-        session, start = self.session, held.start
-        if handle.kind == "body":
-            session.move(start, start.root + target - self._start_place(held), drag=held)
-        elif handle.kind == "end":
-            session.reach(start, handle.name, target, follow=self.follow, drag=held)
-        else:
-            limb, places = LIMBS[handle.name], _places(session, start)
-            pole = target - places[limb.first]
-            session.reach(start, handle.name, places[limb.end], follow=self.follow, pole=pole, drag=held)
 
     def release(self) -> None:
         """Let go; a press that did not move selects the handle's joint."""
@@ -194,28 +189,23 @@ class PoseTool:
 
     def pick(self, x: float, y: float) -> bool:
         """A click beside handles: the joint whose dot is there; False: let the picture decide."""
-        camera = self._camera
+        camera = self.state.last.camera
         if camera is None:
             return False
-        near = picked_joint(self.session.world()[:22, :3, 3], camera, np.array([x, y], np.float64), 5.0 * self._scale)
+        near = picked_joint(self._places()[:22], camera, np.array([x, y], np.float64), 5.0 * self._scale)
         if near is None:
             return False
         self.state.selection.choose(self.index, near)
         return True
 
-    def cancel(self) -> bool:
-        """Give up the drag; whether there was one."""
+    def cancel(self) -> None:
+        """Give up the drag, where there is one."""
         if self.held is None:
-            return False
+            return
         held, self.held = self.held, None
         self.given_up = held.handle is None
         self.session.put("cancel", held.start.axis_angle, held.start.root, drag=held, limited=False, hold=False)
         self.session.history.end_drag()
-        return True
-
-
-def _places(session: PoseSession, pose: KeptPose) -> Float[Array, "52 3"]:
-    return joint_transforms(pose.axis_angle, session.joints, pose.root)[:, :3, 3]
 
 
 def picked_joint(

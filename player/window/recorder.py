@@ -21,8 +21,8 @@ MOST_AT_ONCE = 10
 class WindowFilm:
     """A film being written from the window.
 
-    A motion from a file is filmed frame after frame, however long each takes to draw: `step` is the time that passes
-    between them. Live poses are filmed by the clock: a late picture stands for all frames it is late by.
+    A motion from a file is filmed frame after frame, however long each takes to draw. Live poses are filmed by the
+    clock: a late picture stands for all frames it is late by.
     """
 
     def __init__(self, path: Path, rate: float, *, live: bool):
@@ -33,11 +33,6 @@ class WindowFilm:
         self.size: tuple[int, int] | None = None
         self.began: float | None = None
         self.frames = 0
-
-    @property
-    def step(self) -> float | None:
-        """Seconds from frame to frame; None: by the clock."""
-        return None if self.live else 1 / self.rate
 
     def add(self, image: UInt8[np.ndarray, "height width 4"], now: float) -> bool:
         """The picture of now; False when it has another size than the film."""
@@ -81,7 +76,7 @@ class Recorder:
     @property
     def step(self) -> float | None:
         """Seconds that pass from frame to frame while a motion is filmed; None: by the clock."""
-        return None if self.film is None else self.film.step
+        return None if self.film is None or self.film.live else 1 / self.film.rate
 
     def shoot(self, *, on: bool = True) -> None:
         self._shoot = on

@@ -1,7 +1,7 @@
 """What the window shows: a scene with its files opened, its live sources, and cameras to switch between."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +9,13 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
 from avatar.rotation import matrix_from_axis_angle
-from player.effects.background import Background
 from player.live.playback import LivePlayback
 from player.scene.camera_path import CameraPath
 from player.scene.cameras import TURN_SECONDS, Cameras, Orbit
 from player.scene.capture_view import CaptureView, open_capture
-from player.scene.effects import STUDIO, Effects
 from player.scene.framing import ELEVATION, FOV, View, extent, facing, fitted, view_from
 from player.scene.motions import BLOCK
-from player.scene.opened import notes_of, opened_camera, opened_tracks
+from player.scene.opened import opened_camera, opened_tracks
 from player.scene.scene import Scene, SceneCamera
 from player.window.playback import Playback
 
@@ -27,23 +25,17 @@ KINDS = {"front": "orbit", "follow": "orbit", "orbit": "turntable"}
 
 @dataclass
 class Show:
-    """Avatars with names, their playback, the cameras, and how they are drawn."""
+    """A scene and what was opened of it: avatars, their playback, the cameras."""
 
-    # what was opened
     scene: Scene
     avatars: list[Avatar]
-    names: list[str]
     playback: Playback
     cameras: Cameras
-    effects: Effects = field(default_factory=Effects)
-    background: Background = STUDIO
-    capture: CaptureView | None = None
+    capture: CaptureView | None
     # whether the orbit goes along with the first avatar from the start
-    follow: bool = False
+    follow: bool
     # whether the avatars' files may be replaced while they are shown
     followed: bool = False
-    # what was assumed, for printing
-    notes: list[str] = field(default_factory=list)
 
     def fit_orbit(self, size: tuple[int, int]) -> None:
         """Put the orbit's home in front of the first avatar, so near that a picture of this size holds all of them."""
@@ -89,8 +81,5 @@ def opened_show(
     )
     if first.eye is not None and first.target is not None:
         cameras.orbit.look(view_from(first.eye, first.target))
-    return Show(
-        scene, list(avatars), [Path(entry.path).stem for entry in scene.avatars],
-        Playback(tracks, live, rate=scene.rate), cameras, scene.effects, scene.background, capture,
-        follow=first.kind in ("follow", "orbit"), notes=notes_of(tracks),
-    )  # fmt: skip
+    playback = Playback(tracks, live, rate=scene.rate)
+    return Show(scene, list(avatars), playback, cameras, capture, first.kind in ("follow", "orbit"))

@@ -33,11 +33,6 @@ class AvatarSelection:
         self.avatar, self.joint = avatar % len(self.names), joint
 
     @property
-    def any(self) -> bool:
-        """Whether something else than the first avatar as a whole is selected."""
-        return self.avatar != 0 or self.joint is not None
-
-    @property
     def name(self) -> str:
         name = self.names[self.avatar]
         return name if self.joint is None else f"{name}: {joint_name(self.joint)}"
@@ -77,12 +72,6 @@ class WindowLayout:
         """Where the picture is free of panels."""
         (width, height), (left, right, bottom) = self.screen.size, self.borders()
         return left, 0, width - left - right, height - bottom
-
-    def holds(self, x: float | int, y: float | int) -> bool:
-        """Whether a place in units lies in the free area."""
-        x, y = self.screen.pixel(x, y)
-        left, top, width, height = self.area
-        return left <= x < left + width and top <= y < top + height
 
 
 @dataclass

@@ -7,11 +7,10 @@ from avatar.camera import Camera
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.progress import plural
 from player.draw.posing import posed_vertices
-from player.scene.cameras import Cameras
-from player.scene.capture_view import CaptureView
 from player.scene.framing import ELEVATION, View, fitted
 from player.scene.scene import SceneCamera
 from player.window.recorder import free_name
+from player.window.show import Show
 from player.window.state import WindowState
 
 HEAD = JOINTS.index("head")
@@ -23,10 +22,10 @@ FLAT = (1.0, 0.0, 1.0)
 class Viewpoint:
     """The cameras of the window and what they follow. `capture` is the source video, where there is one."""
 
-    def __init__(self, state: WindowState, cameras: Cameras, *, capture: CaptureView | None, follow: bool):
-        self.state, self.cameras, self.capture = state, cameras, capture
+    def __init__(self, state: WindowState, show: Show):
+        self.state, self.cameras, self.capture = state, show.cameras, show.capture
         # the orbit goes along with the first avatar, from where that was in the beginning
-        self.follow = follow
+        self.follow = show.follow
         # or with a joint of an avatar, and where that was then
         self._part: tuple[int, int, Float[np.ndarray, "3"]] | None = None
         self.begin()
@@ -47,18 +46,18 @@ class Viewpoint:
         """How far the orbit has gone along, metres."""
         if self._part is not None:
             index, joint, place = self._part
-            return self._joints(index)[joint, :3, 3] - place
+            return self.joints(index)[joint, :3, 3] - place
         return (self.state.last.poses[0][1] - self._start) * FLAT if self.follow else None
 
-    def _joints(self, index: int) -> Float[np.ndarray, "52 4 4"]:
+    def joints(self, index: int) -> Float[np.ndarray, "52 4 4"]:
+        """world_from_joint of an avatar in the last frame."""
         axis_angle, root, _ = self.state.last.poses[index]
         return joint_transforms(axis_angle, self.state.avatars[index].joint_positions.astype(np.float64), root)
 
     def show_part(self, joint: int, middle: int) -> None:
-        """Look at what a joint of the selected avatar moves, from the front, and go along with the joint in its
-        middle."""
+        """Look from the front at what a joint of the selected avatar moves; go along with the joint in its middle."""
         index = self.state.selection.avatar
-        avatar, joints, below = self.state.avatars[index], self._joints(index), [joint]
+        avatar, joints, below = self.state.avatars[index], self.joints(index), [joint]
         # a child has a higher number than its parent
         for child in range(joint, len(PARENTS)):
             below += [child] * (PARENTS[child] in below)

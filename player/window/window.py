@@ -21,13 +21,12 @@ from player.scene.opened import opened_avatars
 from player.scene.scene_file import read_scene
 from player.window.budgeted import Budgeted
 from player.window.keyboard import Keyboard
-from player.window.opening import kind_of, open_file
+from player.window.opening import kind_of, open_file, renew
 from player.window.panels.panels import Panels
-from player.window.parts import WindowParts, opened_parts
+from player.window.parts import WindowParts
 from player.window.pointer import Pointer
 from player.window.recent import keep_recent
 from player.window.recorder import save_picture
-from player.window.renewal import Renewal
 from player.window.screen import Screen
 from player.window.script import RATE, steps
 from player.window.show import Show, opened_show
@@ -54,12 +53,11 @@ class Window:
         null: bool = False,
         panels: bool = True,
         clock: Clock = time.perf_counter,
-        budget: tuple[float, Sequence[str]] | None = None,
+        budget: float | None = None,
     ):
-        """panels: whether they are shown at first. budget: milliseconds of a frame's own work, and the files of the
-        avatars, by which its prices are kept."""
+        """panels: whether they are shown at first. budget: milliseconds of a frame's own work."""
         self.clock, self.screen = clock, Screen(size, null=null)
-        self._begin(opened_parts(show, self.screen, clock, Messages(clock)), panels=panels)
+        self._begin(WindowParts(show, self.screen, clock, Messages(clock)), panels=panels)
         show.fit_orbit(self.parts.state.layout.area[2:])
         # seconds that have passed for loose parts: also while the timeline stands
         self._moved = 0.0
@@ -67,17 +65,16 @@ class Window:
         # when the last event came, and how many frames are to be drawn at once after it
         self._stirred, self._answers = clock(), ANSWERS
         if budget is not None:
-            self.parts.budget = self._budgeted(*budget)
+            self.parts.budget = self._budgeted(budget)
         self._connect()
 
     def _begin(self, parts: WindowParts, *, panels: bool) -> None:
         self.parts = parts
-        self.renewal = Renewal(parts.opening) if parts.opening.show.followed else None
         self.keyboard, self.pointer = Keyboard(parts), Pointer(parts)
         parts.state.layout.panels_on = panels
         self.panels = Panels(parts)
 
-    def _budgeted(self, budget: float, files: Sequence[str]) -> Budgeted:
+    def _budgeted(self, budget: float) -> Budgeted:
         """What this window draws within a budget: a few moments of its motion are timed as the orbit sees them.
 
         Timing takes long the first time, so the avatar is shown first, with a line that says what is being done."""
@@ -89,8 +86,8 @@ class Window:
         parts.state.messages.say(f"timing what holds {budget:.3g} ms a frame; up to a minute the first time ...")
         self.draw()
         glfw.poll_events()
-        scene = parts.look.scene(frames, size)
-        return Budgeted(parts.look, scene, files, budget, parts.state.messages)
+        files = [entry.path for entry in parts.opening.scene.avatars]
+        return Budgeted(parts.look, parts.look.scene(frames, size), files, budget, parts.state.messages)
 
     def _connect(self) -> None:
         """glfw calls what a script calls."""
@@ -129,7 +126,7 @@ class Window:
 
     def on_wheel(self, clicks: float | int) -> None:
         self._stir()
-        if not self.panels.on_wheel(clicks, self._over_picture()):
+        if not self.panels.on_wheel(clicks, self.pointer.over_picture):
             self.parts.viewpoint.cameras.approach(clicks, self.pointer.beside_middle)
 
     def on_pointer(self, x: float | int, y: float | int) -> None:
@@ -143,7 +140,7 @@ class Window:
         self._stir()
         if down and 0 in self.screen.size:
             return
-        taken = self.panels.on_button(button, down, self._over_picture())
+        taken = self.panels.on_button(button, down, self.pointer.over_picture)
         if not down:
             self.pointer.release(button)
         elif not taken:
@@ -153,9 +150,6 @@ class Window:
         self._stir()
         for path in paths:
             self.parts.opening.ask(path)
-
-    def _over_picture(self) -> bool:
-        return self.parts.state.layout.holds(*self.pointer.at)
 
     # -- one frame
 
@@ -174,8 +168,7 @@ class Window:
             return
         self._open_asked()
         parts, last = self.parts, self.parts.state.last
-        if self.renewal is not None:
-            self.renewal.take(parts)
+        renew(parts)
         screen = self.screen.begin()
         for track in parts.state.playback.tracks:
             track.foot_lock = parts.look.effects.foot_lock
@@ -214,8 +207,7 @@ class Window:
             return False
         show, panels, layout = opened_show(scene, opened_avatars(scene)), self.panels, old.state.layout
         show.fit_orbit(layout.area[2:])
-        new = opened_parts(show, self.screen, self.clock, old.state.messages)
-        self._begin(new, panels=layout.panels_on)
+        self._begin(WindowParts(show, self.screen, self.clock, old.state.messages), panels=layout.panels_on)
         self._end(old, panels)
         return True
 
@@ -236,7 +228,7 @@ class Window:
         if parts.wipe is not None:
             screen.use()
             frame = viewpoint.video_frame if viewpoint.shows_video else None
-            parts.wipe.draw(frame, area, size, look.background.color[:3])
+            parts.wipe.draw(frame, look.background.color[:3])
 
     # -- the loop
 
@@ -277,7 +269,7 @@ class Window:
             glfw.wait_events_timeout(STILL)
             stop.check()
             changed = self._stirred != before or self.parts.state.messages.shown != shown
-            changed |= self.renewal is not None and bool(self.renewal.due())
+            changed |= bool(self.parts.opening.due())
             # a tooltip waits for the pointer to rest, a text field blinks
             if changed or self.clock() - self._stirred < LINGER or self.panels.typing or self._ends:
                 break
@@ -328,7 +320,7 @@ def play(
     panels: bool,
     script: Sequence[str] | None,
     screenshot: str | None,
-    budget: tuple[float, Sequence[str]] | None = None,
+    budget: float | None = None,
 ) -> int:
     """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown."""
     if script is not None:

@@ -10,9 +10,9 @@ from avatar.motion.read import builtin_motion
 from avatar.rotation import quaternion_from_axis_angle, quaternion_inverse, quaternion_product
 from avatar.skeleton import PARENTS
 from experiments.live_sender import bundle_of_55, spoilt
+from player.draw.drawing import Pose
 from player.live.calibration import calibrated, pose_from_rig
 from player.live.command import encoder, send, timed_poses
-from player.live.frame import LivePose
 from player.live.inbox import Inbox
 from player.live.one_euro import OneEuro
 from player.live.osc import LARGEST
@@ -88,7 +88,7 @@ def test_the_last_pose_is_shown_whatever_the_sender_clock_does(kind, clock, with
         encode_at[0] = seconds
         axis_angle = np.zeros((52, 3))
         axis_angle[16, 2] = 0.01 * n
-        packets.append((encode(n, seconds, LivePose(axis_angle, np.array([0, 0.9, 0.0]))), received))
+        packets.append((encode(n, seconds, Pose(axis_angle, np.array([0, 0.9, 0.0]))), received))
     if clock == "reordered":
         for n in range(1, 98, 4):
             packets[n], packets[n + 1] = ((packets[n + 1][0], packets[n][1]), (packets[n][0], packets[n + 1][1]))
@@ -118,7 +118,7 @@ def test_good_poses_come_through_ten_thousand_spoilt_packets_a_second(kind, with
     axis_angle, oversized, thrown = np.full((52, 3), 0.1), 0, 0
     for n in range(240):
         axis_angle = np.full((52, 3), 0.1 + 1e-3 * n)
-        good = encode(n, n / 240, LivePose(axis_angle, np.zeros(3)))
+        good = encode(n, n / 240, Pose(axis_angle, np.zeros(3)))
         good = bundle_of_55(good) if kind == "vmc" else good
         inbox.feed(good, n / 240)
         for k in range(42):
@@ -137,7 +137,7 @@ def test_good_poses_come_through_ten_thousand_spoilt_packets_a_second(kind, with
 
 @pytest.mark.parametrize("dt", [-1.0, 0.0, 1e-9, 1e-6, 1 / 240, 1 / 24, 10.0, 30 * 86400.0])
 def test_one_euro_leaves_a_constant_pose_constant(dt, within):
-    pose = LivePose(np.random.default_rng(0).normal(size=(52, 3)), np.array([1.0, 2, 3]))
+    pose = Pose(np.random.default_rng(0).normal(size=(52, 3)), np.array([1.0, 2, 3]))
     smooth = OneEuro()
     for _ in range(200):
         found = smooth(pose, dt)

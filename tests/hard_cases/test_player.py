@@ -11,7 +11,7 @@ import pytest
 from avatar.camera import Camera, look_at, orbit_camera, pinhole
 from avatar.motion.clip import Clip
 from avatar.skeleton import BIG_POSE
-from player.doctor_command import doctor_main
+from player.doctor import doctor_main
 from player.scene.framing import extent, fitted
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer

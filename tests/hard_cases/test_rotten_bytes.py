@@ -18,7 +18,7 @@ from avatar.motion.clip import Clip
 from avatar.motion.read import read_motion
 from capture.folder import read_subject, write_subject
 from command.errors import AssetError
-from player.live.frame import LivePose
+from player.draw.drawing import Pose
 from player.live.take import Take
 from train.run import SURFACE, build_field, read_facts, read_part, read_surface, write_json, write_part
 from train.template_grid import TemplateGrid
@@ -151,7 +151,7 @@ def test_damaged_frames_of_a_take_that_was_cut_off_are_left_out(tmp_path, fault)
         folder.mkdir()
         take = Take(folder / "take.npz")
         for k, pose in enumerate(poses):
-            take.add(k / 30, LivePose(pose.astype(float), np.zeros(3)))
+            take.add(k / 30, Pose(pose.astype(float), np.zeros(3)))
         take.close()
         data = bytearray(take.recording.read_bytes())
         fault(data, rng)

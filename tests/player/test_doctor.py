@@ -14,8 +14,7 @@ import pytest
 import player.doctor as doctor
 import player.gl.context as contexts
 from command.errors import AssetError
-from player.doctor import Node, device_nodes, difference, hints, nvidia_driver, vendor_file
-from player.doctor_command import doctor_main
+from player.doctor import Node, device_nodes, difference, doctor_main, hints, nvidia_driver, vendor_file
 from player.gl.context import EglDevice, NoContextError, open_context
 
 # (CUDA ordinal, DRM node, render node, maker, software): EGL counts as it likes, CUDA otherwise, as on real machines
@@ -130,7 +129,8 @@ def test_compare_notices_a_way_that_draws_otherwise_or_not_at_all(osmesa, paper_
     drawn = doctor._in_window
 
     def darker(*arguments, null):
-        return [shown._replace(image=shown.image // 2) for shown in drawn(*arguments, null=null)]
+        pictures, renderer = drawn(*arguments, null=null)
+        return [picture // 2 for picture in pictures], renderer
 
     monkeypatch.setattr(doctor, "_in_window", darker)
     compared = doctor.compare(size=64)

@@ -13,6 +13,7 @@ pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 import glfw  # before imgui_bundle
 from imgui_bundle import imgui
 
+from player.draw.drawing import Pose
 from player.effects.background import Background
 from player.effects.foot_lock import FootLock
 from player.effects.lens import DepthOfField, MotionBlur
@@ -85,9 +86,8 @@ def test_the_long_slider_scrubs_and_lists_open_over_the_picture(window):
     assert abs(middle - window.parts.state.timeline.frames / 2) < 5
     run(window, f"drag:{x}:{y}:{x + 5000}:{y}")
     assert window.parts.state.timeline.frame == window.parts.state.timeline.frames - 1
-    assert (
-        window.parts.viewpoint.cameras.orbit.azimuth == window.parts.viewpoint.cameras.orbit.home[2]
-    )  # the camera did not turn along
+    orbit = window.parts.viewpoint.cameras.orbit
+    assert orbit.azimuth == orbit.home[2]  # the camera did not turn along
     run(window, "press:speed wait")
     x, y = window.panels.places["speed"]
     run(window, f"click:{x}:{y - 30} wait")
@@ -205,7 +205,7 @@ def test_each_effect_has_a_row_for_each_of_its_settings(window, setting):
     assert rows <= set(window.panels.places)
     # with its label each ends before the panel does
     left = window.parts.state.layout.area[0]
-    boxes = window.panels.boxes
+    boxes = window.panels.ui.boxes
     assert max(boxes[name][2] for name in boxes if boxes[name][0] < left and boxes[name][1] < 500) < left - 8
 
 
@@ -361,7 +361,7 @@ def test_the_live_panel_tells_rate_loss_and_latency(open_window, avatar):
     bent = np.zeros((52, 3))
     bent[16, 2] = -1.2
     for n in range(10):
-        inbox.feed(build_pose(bent, np.array([0, 0.9, 0]), time=n / 60, sequence=2 * n), 100 + n / 60)
+        inbox.feed(build_pose(Pose(bent, np.array([0, 0.9, 0])), time=n / 60, sequence=2 * n), 100 + n / 60)
         now[0] = 100.01 + n / 60
         posed = run(window, "wait")
     assert (picture(window, posed) != picture(window, waiting)).any(-1).mean() > 0.01

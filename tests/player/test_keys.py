@@ -6,8 +6,7 @@ from command.command_line import parser_of
 from experiments.key_docs import DOCS, TABLES, with_table
 from player.play_command import PLAY, PlayCommand
 from player.window import actions
-from player.window.actions import GROUPS, Action
-from player.window.help import command_line_help, rows
+from player.window.actions import GROUPS, Action, command_line_help
 from player.window.keyboard import KEYS
 
 ACTIONS = [action for group in GROUPS for action in group.actions]
@@ -39,7 +38,7 @@ def test_the_command_line_names_every_key():
     text = parser_of(PlayCommand, PLAY, everything=True).format_help()
     assert command_line_help() in text
     for group in GROUPS:
-        for keys, means in rows(group):
+        for keys, means in group.rows:
             assert f"{keys} " in text and means in text
-    assert {"p", "m", "n", "Ctrl+Z"} <= {keys for group in GROUPS for keys, _ in rows(group)}
+    assert {"p", "m", "n", "Ctrl+Z"} <= {keys for group in GROUPS for keys, _ in group.rows}
     assert max(map(len, command_line_help().splitlines())) <= 112

@@ -22,7 +22,7 @@ from player.film.render import level_of
 from player.film.shot import Shot
 from player.film.stage import Stage, camera_from_option
 from player.scene.effects import STUDIO, Effects
-from player.scene.opened import opened_avatars
+from player.scene.opened import notes_of, opened_avatars
 from player.scene.scene import Scene, SceneAvatar, SceneCamera
 from player.scene.scene_file import read_scene, write_scene
 from player.window.show import opened_show
@@ -379,7 +379,7 @@ def test_films_and_the_window_open_a_scene_alike(tmp_path):
     stage, show = Stage(scene), opened_show(scene, opened_avatars(scene))
     assert stage.avatars[0] is stage.avatars[1], "read once"
     assert [track.name for track in stage.tracks] == [track.name for track in show.playback.tracks]
-    assert stage.notes == show.notes != []
+    assert stage.notes == notes_of(show.playback.tracks) != []
     assert stage.frames == show.playback.timeline.frames
     show.playback.timeline.scrub(1.2)
     for filmed, shown in zip(stage.poses(30), show.playback.poses(), strict=True):

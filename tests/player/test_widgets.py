@@ -58,7 +58,7 @@ def test_every_widget_has_a_tooltip_of_its_own_and_it_is_shown(opened):
     window = opened()
     window.parts.state.selection.choose(0, 18)
     run(window, "p k press:left_fingers wait wait")
-    tips = window.panels.tips
+    tips = window.panels.ui.tips
     assert len(tips) > 80 and all(len(tip) > 5 for tip in tips.values())
     words = [tip for name, tip in tips.items() if not name.startswith("path")]
     assert len(set(words)) == len(words)
@@ -109,7 +109,7 @@ def test_of_a_long_path_the_name_is_in_sight_and_the_middle_goes_last(opened, tm
     path = folder / "my_motion.npz"
     path.write_bytes((Path(avatar.__file__).parent / "data" / "motions" / "counting.npz").read_bytes())
     window = opened("--motion", str(path))
-    assert window.panels.tips["path motion"] == str(path)
+    assert window.panels.ui.tips["path motion"] == str(path)
     monkeypatch.setattr(widgets.imgui, "calc_text_size", lambda text: widgets.imgui.ImVec2(float(len(text)), 1.0))
     path = "/home/someone/motions/walking/slowly.bvh"
     assert elided(path, 99.0) == path

@@ -56,7 +56,8 @@ def background_panel(ui: Widgets, parts: WindowParts) -> None:
 def _effect(ui: Widgets, parts: WindowParts, setting: Setting) -> None:
     """A list of choices; below it, unfolded, numbers, then why it cannot show, and what it costs."""
     effects, name = parts.look.effects, setting.name
-    value, why = setting.value_in(effects), reason(parts, setting.name)
+    value = setting.value_in(effects)
+    why = reason(parts, name, value)
     words, values, chosen = choices_of(setting, value)
     unfolded = False
     if setting.table is not None and value is not None:
@@ -77,11 +78,9 @@ def _effect(ui: Widgets, parts: WindowParts, setting: Setting) -> None:
         parts.look.change(effects=replace(effects, **{name: changed}))
 
 
-def reason(parts: WindowParts, name: str) -> str:
-    """Why an effect that is on does not show, or one that is off would not; empty where it does."""
-    effects, playback = parts.look.effects, parts.state.playback
-    on = next(setting.value_in(effects) for setting in settings_of(Effects) if setting.name == name)
-    why = without_effect(name, effects, parts.state.avatars)
+def reason(parts: WindowParts, name: str, on: object) -> str:
+    """Why an effect that is on does not show, or one that is off (None) would not; empty where it does."""
+    playback, why = parts.state.playback, without_effect(name, parts.look.effects, parts.state.avatars)
     if why and name != "light":
         return why
     if why and on is not None:

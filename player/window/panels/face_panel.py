@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
-from imgui_bundle import imgui
 
 from avatar.face import PARTNERS, SHAPES
 from avatar.gaze import DOWN, UP, YAW
@@ -20,15 +19,14 @@ REGIONS = {
 
 
 class FacePanel:
-    """Sliders whose whole drags are one step of undo each."""
+    """Gaze and shapes, by region; `slider` draws one, as other panels do (pose_panel.py)."""
 
-    def __init__(self, ui: Widgets):
-        self.ui = ui
+    def __init__(self, ui: Widgets, slider: Callable[..., None]):
+        self.ui, self._slider = ui, slider
         # the sliders of the left side move the right side too
         self.both_sides = True
 
     def draw(self, edit: PoseEdit) -> None:
-        """Gaze and shapes as sliders, by region."""
         ui, session, gaze = self.ui, edit.session, edit.session.pose.gaze
         if ui.button("Reset face", "The whole face at rest.", name="reset face"):
             session.set_face(np.zeros(len(SHAPES)), np.zeros((2, 2)))
@@ -38,15 +36,14 @@ class FacePanel:
             ("look aside", (-YAW, YAW), "Where both eyes look: to the person's left, or right below 0."),
             ("look up", (-DOWN, UP), "Where both eyes look: up, or down below 0."),
         )):  # fmt: skip
-            degrees = tuple(float(np.degrees(end)) for end in span)
-            value = float(np.degrees(gaze[:, k].mean()))
+            low, high, value = (float(np.degrees(angle)) for angle in (*span, gaze[:, k].mean()))
 
-            def look(value: float, k: int = k, name: str = name) -> None:
+            def look(value: float, mark: object, k: int = k) -> None:
                 turned = gaze.copy()
                 turned[:, k] = np.radians(value)
-                session.set_face(session.pose.weights, turned, drag=name)
+                session.set_face(session.pose.weights, turned, drag=mark)
 
-            self._slider(edit, f"{name}: %.0f deg", value, (degrees[0], degrees[1]), tip, look, name)
+            self._slider(edit, f"{name}: %.0f deg", value, (low, high), tip, look, name=name)
         for region, begins in REGIONS.items():
             shapes = [number for number, name in enumerate(SHAPES) if name.startswith(begins)]
             if self.both_sides:
@@ -56,33 +53,20 @@ class FacePanel:
             ui.fold(region, tip, partial(self._region, edit, shapes))
 
     def _region(self, edit: PoseEdit, shapes: Sequence[int]) -> None:
+        session = edit.session
         for shape in shapes:
-            self._shape(edit, shape)
+            both, name = self.both_sides and paired(shape), SHAPES[shape]
+            moved = [shape, PARTNERS[shape]] if both else [shape]
 
-    def _shape(self, edit: PoseEdit, shape: int) -> None:
-        session, name = edit.session, words(SHAPES[shape])
-        both = self.both_sides and paired(shape)
-        moved = [shape, PARTNERS[shape]] if both else [shape]
+            def change(value: float, mark: object, moved: Sequence[int] = moved) -> None:
+                weights = session.pose.weights.copy()
+                weights[moved] = value
+                session.set_face(weights, session.pose.gaze, drag=mark)
 
-        def change(value: float) -> None:
-            weights = session.pose.weights.copy()
-            weights[moved] = value
-            session.set_face(weights, session.pose.gaze, drag=SHAPES[shape])
-
-        shown = name.removesuffix(" left") if both else name
-        tip = f"{shown[0].upper()}{shown[1:]}: 0 at rest, 1 all of it. ARKit calls it {SHAPES[shape]}."
-        self._slider(edit, f"{shown}: %.2f", float(session.pose.weights[shape]), (0.0, 1.0), tip, change, SHAPES[shape])
-
-    def _slider(
-        self, edit: PoseEdit, form: str, value: float, span: tuple[float, float], tip: str,
-        change: Callable[[float], None], name: str,
-    ) -> None:  # fmt: skip
-        imgui.set_next_item_width(-1)
-        new = self.ui.slider("", value, span, tip, name=name, form=form)
-        if new is not None:
-            change(new)
-        if imgui.is_item_deactivated():
-            edit.session.history.end_drag()
+            shown = words(name).removesuffix(" left") if both else words(name)
+            tip = f"{shown[0].upper()}{shown[1:]}: 0 at rest, 1 all of it. ARKit calls it {name}."
+            value = float(session.pose.weights[shape])
+            self._slider(edit, f"{shown}: %.2f", value, (0.0, 1.0), tip, change, name=name)
 
 
 def paired(shape: int) -> bool:

@@ -7,19 +7,16 @@ import numpy as np
 from imgui_bundle import imgui
 
 from avatar.camera import project
-from avatar.skeleton import joint_transforms
 from command.progress import plural
 from player.live.latency import DRAWN
-from player.window.actions import GROUPS
-from player.window.help import mouse_rows, rows
+from player.window.actions import GROUPS, mouse_rows
 from player.window.panels.widgets import shortened
 from player.window.parts import WindowParts
-from player.window.state import WindowState
 
 INK = imgui.IM_COL32(255, 255, 255, 230)
 PLATE = imgui.IM_COL32(0, 0, 0, 120)
 MARK = imgui.IM_COL32(255, 204, 51, 255)
-KEY, TITLE = imgui.ImVec4(1.0, 0.8, 0.2, 1.0), imgui.ImVec4(0.6, 0.75, 0.95, 1.0)
+KEY, TITLE = (1.0, 0.8, 0.2, 1.0), (0.6, 0.75, 0.95, 1.0)
 # a heading, keys and what they do
 Block = tuple[str, Sequence[tuple[str, str]]]
 
@@ -47,26 +44,25 @@ def hud_panel(parts: WindowParts) -> None:
     for text in lines:
         size = imgui.calc_text_size(text, wrap_width=wrap)
         x = left + width - size.x - letter
-        draw.add_rect_filled(imgui.ImVec2(x - 4, y - 2), imgui.ImVec2(x + size.x + 4, y + size.y + 2), PLATE, 3.0)
+        draw.add_rect_filled((x - 4, y - 2), (x + size.x + 4, y + size.y + 2), PLATE, 3.0)
         # calc_text_size rounds up to whole units: a line that just fits is not broken
-        draw.add_text(imgui.get_font(), letter, imgui.ImVec2(x, y), INK, text, wrap_width=max(size.x + 1, 1.0))
+        draw.add_text(imgui.get_font(), letter, (x, y), INK, text, wrap_width=max(size.x + 1, 1.0))
         y += size.y + 0.4 * letter
 
 
-def joint_mark(state: WindowState) -> None:
+def joint_mark(parts: WindowParts) -> None:
     """A ring and a name at the picked joint."""
+    state = parts.state
     index, joint, camera = state.selection.avatar, state.selection.joint, state.last.camera
     if joint is None or camera is None:
         return
-    pose, avatar = state.last.poses[index], state.avatars[index]
-    place = joint_transforms(pose[0], avatar.joint_positions.astype(np.float64), pose[1])[joint, :3, 3]
-    pixel, depth = project(camera, place[None])
+    pixel, depth = project(camera, parts.viewpoint.joints(index)[[joint], :3, 3])
     if not depth[0] > 0:
         return
     x, y = (float(v) / state.layout.screen.scale for v in pixel[0])
     draw, letter = imgui.get_background_draw_list(), imgui.get_font_size()
-    draw.add_circle(imgui.ImVec2(x, y), 0.5 * letter, MARK, 0, 2.0)
-    draw.add_text(imgui.ImVec2(x + 0.8 * letter, y - 0.5 * letter), MARK, state.selection.name)
+    draw.add_circle((x, y), 0.5 * letter, MARK, 0, 2.0)
+    draw.add_text((x + 0.8 * letter, y - 0.5 * letter), MARK, state.selection.name)
 
 
 def status(parts: WindowParts) -> str:
@@ -81,7 +77,8 @@ def status(parts: WindowParts) -> str:
         words.append(parts.viewpoint.cameras.kind)
     if parts.recorder.film is not None:
         words.append(f"filming {parts.recorder.film.frames}")
-    if state.selection.any:
+    # something else than the first avatar as a whole
+    if state.selection.avatar != 0 or state.selection.joint is not None:
         words.append(state.selection.name)
     return "    ".join([*words, "h: keys"])
 
@@ -92,21 +89,20 @@ def status_line(parts: WindowParts) -> None:
     text = shortened(status(parts), lambda cut: imgui.calc_text_size(cut).x <= wide - 2 * pad)
     size, draw = imgui.calc_text_size(text), imgui.get_background_draw_list()
     top = high - size.y - 2 * pad
-    draw.add_rect_filled(imgui.ImVec2(0, top), imgui.ImVec2(size.x + 2 * pad, high), PLATE)
-    draw.add_text(imgui.ImVec2(pad, top + pad), INK, text)
+    draw.add_rect_filled((0, top), (size.x + 2 * pad, high), PLATE)
+    draw.add_text((pad, top + pad), INK, text)
 
 
 def key_list(parts: WindowParts) -> None:
-    """The keys that hold now, in the middle of the window, in as many columns as it has room for; the wheel scrolls
-    what is too high for it."""
+    """The keys that hold now, in as many columns as the window has room for; the wheel scrolls what is too high."""
     groups = [group for group in GROUPS if group.when(parts)]
-    blocks: list[Block] = [*((group.title, rows(group)) for group in groups), ("Mouse", mouse_rows(groups))]
+    blocks: list[Block] = [*((group.title, group.rows) for group in groups), ("Mouse", mouse_rows(groups))]
     cells = [cell for _, lines in blocks for cell in lines]
     letter, (wide, high) = imgui.get_font_size(), imgui.get_io().display_size
     across = max(imgui.calc_text_size(keys).x for keys, _ in cells) + letter
     column = across + max(imgui.calc_text_size(means).x for _, means in cells) + 2 * letter
-    imgui.set_next_window_pos(imgui.ImVec2(0.5 * wide, 0.5 * high), 0, imgui.ImVec2(0.5, 0.5))
-    imgui.set_next_window_size_constraints(imgui.ImVec2(0, 0), imgui.ImVec2(0.96 * wide, 0.96 * high))
+    imgui.set_next_window_pos((0.5 * wide, 0.5 * high), 0, (0.5, 0.5))
+    imgui.set_next_window_size_constraints((0, 0), (0.96 * wide, 0.96 * high))
     flags = imgui.WindowFlags_.no_decoration & ~imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.always_auto_resize
     if imgui.begin("##key list", None, flags | imgui.WindowFlags_.no_saved_settings)[0]:
         for number, blocks_below in enumerate(in_columns(blocks, max(int(0.96 * wide / column), 1))):

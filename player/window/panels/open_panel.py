@@ -17,7 +17,7 @@ SIZE, SHARE = (56.0, 32.0), 0.92
 NARROW = 28.0
 # width of the column that says what a file is
 KIND = 5.0
-TITLE = imgui.ImVec4(0.6, 0.75, 0.95, 1.0)
+TITLE = (0.6, 0.75, 0.95, 1.0)
 FLAGS = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_move
 
 
@@ -27,17 +27,15 @@ def open_panel(ui: Widgets, parts: WindowParts) -> None:
     left, top, wide, high = (length / layout.screen.scale for length in layout.area)
     if wide < NARROW * letter:
         left, wide = 0.0, imgui.get_io().display_size.x
-    size = imgui.ImVec2(min(SIZE[0] * letter, SHARE * wide), min(SIZE[1] * letter, SHARE * high))
-    imgui.set_next_window_pos(imgui.ImVec2(left + 0.5 * wide, top + 0.5 * high), 0, imgui.ImVec2(0.5, 0.5))
+    size = (min(SIZE[0] * letter, SHARE * wide), min(SIZE[1] * letter, SHARE * high))
+    imgui.set_next_window_pos((left + 0.5 * wide, top + 0.5 * high), 0, (0.5, 0.5))
     imgui.set_next_window_size(size)
     imgui.set_next_window_bg_alpha(1.0)
     if imgui.begin("##open", None, FLAGS)[0]:
         room = imgui.get_content_region_avail()
-        for name, across, draw in (
-            ("before", 0.4 * room.x, lambda: _before(ui, parts)), ("folder", 0.0, lambda: _folder(ui, parts)),
-        ):  # fmt: skip
-            imgui.begin_child(f"##{name}", imgui.ImVec2(across, room.y - 2 * letter))
-            draw()
+        for name, across, draw in (("before", 0.4 * room.x, _before), ("folder", 0.0, _folder)):
+            imgui.begin_child(f"##{name}", (across, room.y - 2 * letter))
+            draw(ui, parts)
             imgui.end_child()
             imgui.same_line()
         imgui.new_line()
@@ -51,7 +49,8 @@ def _before(ui: Widgets, parts: WindowParts) -> None:
     opening = parts.opening
     imgui.text_colored(TITLE, "Opened before")
     for number, path in enumerate(opening.recent):
-        if _row(ui, Path(path).name, kind_in_words(path), f"Open {path}", f"recent {number}"):
+        kind = KINDS.get(Path(path).suffix.lower(), "")
+        if _row(ui, Path(path).name, kind, f"Open {path}", f"recent {number}"):
             opening.ask(path)
     if not opening.recent:
         imgui.text_disabled("nothing yet")
@@ -82,7 +81,3 @@ def _row(ui: Widgets, text: str, kind: str, tip: str, name: str) -> bool:
     imgui.text_disabled(kind)
     imgui.same_line(KIND * imgui.get_font_size())
     return ui.row(text, tip, name=name)
-
-
-def kind_in_words(path: Path | str) -> str:
-    return KINDS.get(Path(path).suffix.lower(), "")

@@ -5,6 +5,7 @@ function in its own file, of the widgets (player/window/panels/widgets.py) and o
 """
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import imgui_bundle
 import moderngl
 from imgui_bundle import imgui
 
+from player.window import keyboard
 from player.window.panels.draw import DrawLists
 from player.window.panels.hud_panel import hud_panel, joint_mark, key_list, status_line
 from player.window.panels.open_panel import open_panel
@@ -27,7 +29,7 @@ from player.window.panels.side_panels import (
     more_panel,
 )
 from player.window.panels.timeline_panel import timeline_panel
-from player.window.panels.widgets import Box, Widgets
+from player.window.panels.widgets import Widgets
 from player.window.parts import WindowParts
 from player.window.screen import LETTER, density
 
@@ -37,19 +39,23 @@ SIDE, BOTTOM = 20.5, 4.5
 LABEL = 8.0
 # letters' heights that the picture must keep, else there are no panels
 LEAST = 12.0
+# what stands on the left: headings that fold what is under them, their tooltips and panels
+SECTIONS = (
+    ("Avatars", "Which avatars there are, and where they stand.", avatars_panel),
+    ("Live", "Who sends poses, and how late they are.", live_panel),
+    ("Camera", "What the picture is seen through.", camera_panel),
+    ("Look", "Light, floor and what is behind.", look_panel),
+    ("More", "How it is drawn, and what that costs.", more_panel),
+)
 FIXED = (
     imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_collapse
     | imgui.WindowFlags_.no_bring_to_front_on_focus | imgui.WindowFlags_.no_saved_settings
 )  # fmt: skip
-KEYS = {
-    glfw.KEY_TAB: imgui.Key.tab, glfw.KEY_BACKSPACE: imgui.Key.backspace, glfw.KEY_ENTER: imgui.Key.enter,
-    glfw.KEY_KP_ENTER: imgui.Key.keypad_enter, glfw.KEY_ESCAPE: imgui.Key.escape, glfw.KEY_DELETE: imgui.Key.delete,
-    glfw.KEY_LEFT: imgui.Key.left_arrow, glfw.KEY_RIGHT: imgui.Key.right_arrow, glfw.KEY_UP: imgui.Key.up_arrow,
-    glfw.KEY_DOWN: imgui.Key.down_arrow, glfw.KEY_HOME: imgui.Key.home, glfw.KEY_END: imgui.Key.end,
-    glfw.KEY_SPACE: imgui.Key.space,
-}  # fmt: skip
 # text fields have shortcuts with these letters
-KEYS |= {ord(letter.upper()): imgui.Key[letter] for letter in "acvxyz"}
+SAME = ("tab", "backspace", "enter", "escape", "delete", "home", "end", "space", *"acvxyz")
+KEYS = {keyboard.KEYS[name]: imgui.Key[name] for name in SAME}
+KEYS |= {keyboard.KEYS[name]: imgui.Key[f"{name}_arrow"] for name in ("left", "right", "up", "down")}
+KEYS[glfw.KEY_KP_ENTER] = imgui.Key.keypad_enter
 # in the order of glfw's codes, those of the left before those of the right
 HELD = [(side, name) for side in ("left", "right") for name in ("shift", "ctrl", "alt", "super")]
 KEYS |= {glfw.KEY_LEFT_SHIFT + k: imgui.Key["_".join(key)] for k, key in enumerate(HELD)}
@@ -62,8 +68,8 @@ class Panels:
     def __init__(self, parts: WindowParts):
         self._parts, self._layout = parts, parts.state.layout
         self._layout.borders = self._borders
-        self._ui = Widgets()
-        self._posing = PosePanels(self._ui, parts)
+        self.ui = Widgets()
+        self._posing = PosePanels(self.ui, parts)
         context = self._layout.screen.context
         self._imgui = imgui.create_context()
         imgui.set_current_context(self._imgui)
@@ -84,17 +90,7 @@ class Panels:
     @property
     def places(self) -> dict[str, tuple[float, float]]:
         """Middle of each widget of the last frame, window units, by its name."""
-        return {name: (0.5 * (x0 + x1), 0.5 * (y0 + y1)) for name, (x0, y0, x1, y1) in self._ui.boxes.items()}
-
-    @property
-    def boxes(self) -> dict[str, Box]:
-        """Left, top, right and bottom of each, with its label."""
-        return self._ui.boxes
-
-    @property
-    def tips(self) -> dict[str, str]:
-        """Tooltip of each widget of the last frame."""
-        return self._ui.tips
+        return {name: (0.5 * (x0 + x1), 0.5 * (y0 + y1)) for name, (x0, y0, x1, y1) in self.ui.boxes.items()}
 
     def _use_clipboard(self) -> None:
         """Text fields copy to and paste from the system's clipboard."""
@@ -130,8 +126,7 @@ class Panels:
         return self.takes_pointer(over_picture)
 
     def takes_pointer(self, over_picture: bool) -> bool:
-        """Where panels stand is known at once; what lies over the picture (a list that opened, a ring) since the last
-        frame."""
+        """Where panels stand is known at once; what lies over the picture (open lists, rings) since the last frame."""
         edit = self._parts.posing.edit
         on_panel = not over_picture or (edit is not None and edit.tool.on_ring)
         return self._io().want_capture_mouse or (self._layout.panels_drawn and on_panel)
@@ -155,8 +150,7 @@ class Panels:
     # -- places
 
     def _borders(self) -> tuple[int, int, int]:
-        """Left, right and lower border, pixels: none when panels are switched off, nor where they would leave too
-        little of the picture."""
+        """Left, right and lower border, pixels: none without panels, and where they would leave too little picture."""
         size, letter = self._layout.screen.size, LETTER * self._scale * self._layout.screen.scale
         left = round(SIDE * letter)
         right, bottom = left if self._parts.posing.edit is not None else 0, round(BOTTOM * letter)
@@ -179,65 +173,51 @@ class Panels:
         io.delta_time = min(max(now - self._drawn, 1e-4), 0.25)
         self._drawn = now
         imgui.new_frame()
-        self._ui.begin()
+        self.ui.begin()
         self._layout.panels_drawn = self._borders() != (0, 0, 0)
         if self._layout.panels_drawn:
-            self._draw_overlays()
             self._draw_panels(wide, high)
         else:
             status_line(self._parts)
         if self._layout.help_on:
             key_list(self._parts)
         if self._parts.opening.listed:
-            open_panel(self._ui, self._parts)
-        self._ui.end()
+            open_panel(self.ui, self._parts)
         imgui.render()
         self._lists.draw(imgui.get_draw_data(), screen, size)
 
-    def _draw_overlays(self) -> None:
-        """Over the picture, under the panels. Posing shows in its own way what is selected."""
-        parts = self._parts
-        if parts.posing.edit is None:
-            joint_mark(parts.state)
-        else:
-            pose_overlay(parts.posing.edit.tool, parts.state)
-            rings(parts.posing.edit, parts.state)
-        hud_panel(parts)
-
     def _draw_panels(self, wide: int, high: int) -> None:
+        """What lies over the picture, and the panels around it. Posing shows in its own way what is selected."""
         letter = LETTER * self._scale
         side, bottom = SIDE * letter, BOTTOM * letter
-        ui, parts = self._ui, self._parts
+        ui, parts, edit = self.ui, self._parts, self._parts.posing.edit
+        if edit is None:
+            joint_mark(parts)
+        else:
+            pose_overlay(edit.tool, parts.state)
+            rings(edit, parts.state)
+        hud_panel(parts)
 
         def left() -> None:
             files_panel(ui, parts)
-            for title, tip, draw in self._sections():
+            for title, tip, panel in SECTIONS:
+                there = title != "Live" or parts.state.playback.live
                 # what few look for is folded at first
-                if ui.section(title, tip, opened=title != "More"):
-                    draw()
+                if there and ui.section(title, tip, opened=title != "More"):
+                    panel(ui, parts)
 
         self._panel("left", (0.0, 0.0, side, high - bottom), left)
         self._panel("time", (0.0, high - bottom, float(wide), bottom), lambda: timeline_panel(ui, parts))
-        if parts.posing.edit is not None:
-            self._panel("right", (wide - side, 0.0, side, high - bottom), self._posing.draw)
-
-    def _sections(self) -> list[tuple[str, str, Callable[[], None]]]:
-        """What stands on the left: headings that fold what is under them, their tooltips and panels."""
-        ui, parts, playback = self._ui, self._parts, self._parts.state.playback
-        live = ("Live", "Who sends poses, and how late they are.", lambda: live_panel(ui, playback))
-        return [
-            ("Avatars", "Which avatars there are, and where they stand.", lambda: avatars_panel(ui, parts)),
-            *([live] if playback.live else []),
-            ("Camera", "What the picture is seen through.", lambda: camera_panel(ui, parts)),
-            ("Look", "Light, floor and what is behind.", lambda: look_panel(ui, parts)),
-            ("More", "How it is drawn, and what that costs.", lambda: more_panel(ui, parts)),
-        ]
+        # a button on the left begins and ends it
+        edit = parts.posing.edit
+        if edit is not None:
+            self._panel("right", (wide - side, 0.0, side, high - bottom), partial(self._posing.draw, edit))
 
     def _panel(self, name: str, place: tuple[float, float, float, float], draw: Callable[[], None]) -> None:
         """A panel at a place: left, top, width, height in window units."""
         left, top, width, height = place
-        imgui.set_next_window_pos(imgui.ImVec2(left, top))
-        imgui.set_next_window_size(imgui.ImVec2(width, max(height, 1.0)))
+        imgui.set_next_window_pos((left, top))
+        imgui.set_next_window_size((width, max(height, 1.0)))
         if imgui.begin(f"##{name}", None, FIXED | imgui.WindowFlags_.no_title_bar)[0]:
             imgui.push_item_width(-LABEL * LETTER * self._scale)
             draw()
@@ -259,6 +239,6 @@ def _set_style(scale: float) -> None:
     style.font_size_base, style.font_scale_dpi = LETTER, scale
     style.scale_all_sizes(scale)
     style.window_rounding = style.frame_rounding = 3 * scale
-    style.set_color_(imgui.Col_.window_bg, imgui.ImVec4(0.11, 0.12, 0.14, 0.97))
-    style.set_color_(imgui.Col_.popup_bg, imgui.ImVec4(0.11, 0.12, 0.14, 1.0))
-    style.set_color_(imgui.Col_.frame_bg, imgui.ImVec4(0.2, 0.22, 0.26, 1.0))
+    style.set_color_(imgui.Col_.window_bg, (0.11, 0.12, 0.14, 0.97))
+    style.set_color_(imgui.Col_.popup_bg, (0.11, 0.12, 0.14, 1.0))
+    style.set_color_(imgui.Col_.frame_bg, (0.2, 0.22, 0.26, 1.0))

@@ -38,10 +38,10 @@ def pose_overlay(tool: PoseTool, state: WindowState) -> None:
     fingers = np.ptp(places[20:52], axis=0).max() > 0 and hand > FEWEST
     for joint in range(1, 52 if fingers else 22):
         if ahead[joint] and ahead[PARENTS[joint]]:
-            draw.add_polyline(_vectors(places[[PARENTS[joint], joint]]), BONE, 1.0, 0)
+            draw.add_polyline(places[[PARENTS[joint], joint]].tolist(), BONE, 1.0, 0)
     for joint in range(22):
         if ahead[joint]:
-            draw.add_circle_filled(imgui.ImVec2(*map(float, places[joint])), 2.5, DOT)
+            draw.add_circle_filled(places[joint].tolist(), 2.5, DOT)
     for handle in HANDLES:
         if ahead[handle.joint]:
             _handle(draw, tool, handle, places[handle.joint])
@@ -51,16 +51,15 @@ def _handle(draw: imgui.ImDrawList, tool: PoseTool, handle: PullHandle, place: F
     """A square at hands and feet (blue when pinned), a diamond for the body, a small ring at elbows and knees."""
     held = tool.held is not None and tool.held.handle is handle
     lit = held or tool.hovered is handle
-    center = imgui.ImVec2(*map(float, place))
     if handle.kind == "middle":
-        draw.add_circle(center, 6.0 if lit else 4.5, HELD if lit else HANDLE, 0, 2.0)
+        draw.add_circle(place.tolist(), 6.0 if lit else 4.5, HELD if lit else HANDLE, 0, 2.0)
         return
     size = 8.0 if lit else 6.0
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size
     color = PINNED if handle.name in tool.session.pinned else HANDLE
     if handle.kind == "body":
         corners, color = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]]) * (size + 2), BODY
-    shape = _vectors(place + corners)
+    shape = (place + corners).tolist()
     draw.add_convex_poly_filled(shape, HELD if lit else color)
     draw.add_polyline(shape, INK, 1.0, imgui.ImDrawFlags_.closed)
 
@@ -100,7 +99,3 @@ def rings(edit: PoseEdit, state: WindowState) -> None:
 def _matrix(matrix: Float[np.ndarray, "4 4"]) -> im_guizmo.Matrix16:
     """A matrix as ImGuizmo takes it, by columns."""
     return im_guizmo.Matrix16(matrix.T.reshape(-1).tolist())
-
-
-def _vectors(points: Float[np.ndarray, "n 2"]) -> list:
-    return [imgui.ImVec2(float(x), float(y)) for x, y in points]

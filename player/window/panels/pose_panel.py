@@ -33,13 +33,10 @@ class PosePanels:
     """The panels on the right while an avatar is posed by hand."""
 
     def __init__(self, ui: Widgets, parts: WindowParts):
-        self.ui, self.parts, self.face = ui, parts, FacePanel(ui)
+        self.ui, self.parts, self.face = ui, parts, FacePanel(ui, self._slider)
 
-    def draw(self) -> None:
-        """All panels, each under its heading; none where no avatar is posed."""
-        edit = self.parts.posing.edit
-        if edit is None:
-            return
+    def draw(self, edit: PoseEdit) -> None:
+        """All panels, each under its heading."""
         for title, tip, panel in (
             ("Pose", "The whole pose, and its file.", self._pose),
             ("Joint", "The selected joint and its angles.", self._joint),

@@ -4,6 +4,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from command.progress import plural
+from player.budget.rung import Rung
 from player.live.latency import SPANS
 from player.live.playback import LivePlayback
 from player.scene.track import Track
@@ -11,7 +12,6 @@ from player.window import actions
 from player.window.panels.effects_panel import background_panel, effects_panel, looks_panel
 from player.window.panels.widgets import Widgets, tip_of
 from player.window.parts import WindowParts
-from player.window.playback import Playback
 from player.window.state import joint_name
 from player.window.viewpoint import Viewpoint
 from player.window.wipe import Wipe
@@ -47,9 +47,9 @@ def _place(ui: Widgets, track: Track) -> None:
         track.start = track.start if start is None else start
 
 
-def live_panel(ui: Widgets, playback: Playback) -> None:
+def live_panel(ui: Widgets, parts: WindowParts) -> None:
     """A block for each source."""
-    for number, (live, _) in enumerate(playback.live):
+    for number, (live, _) in enumerate(parts.state.playback.live):
         imgui.push_id(number)
         _source(live)
         asked = live.countdown is not None
@@ -67,7 +67,7 @@ def _source(live: LivePlayback) -> None:
     else:
         imgui.text(f"{facts.rate:.0f} poses/s, the newest {1000 * facts.age:.0f} ms old")
         if not facts.tracking:
-            imgui.text_colored(imgui.ImVec4(1.0, 0.6, 0.3, 1.0), "the sender lost its tracking")
+            imgui.text_colored((1.0, 0.6, 0.3, 1.0), "the sender lost its tracking")
     counts = {name: n for name, n in vars(facts.counters).items() if n or name in ("frames", "lost")}
     imgui.text_disabled(", ".join(f"{name} {n}" for name, n in counts.items()))
     spans = live.latency.percentiles()
@@ -147,6 +147,7 @@ def more_panel(ui: Widgets, parts: WindowParts) -> None:
     if levels > 1:
         names = [f"{len(level.faces)} triangles" for level in parts.state.avatars[0].levels]
         names += [f"level {k}" for k in range(len(names), levels)]
-        chosen = ui.choice("detail", min(look.level, levels - 1), names, "Level of detail: fewer triangles are faster.")
+        tip = "Level of detail: fewer triangles are faster."
+        chosen = ui.choice("detail", min(look.rung.level, levels - 1), names, tip)
         if chosen is not None:
-            look.change(level=chosen)
+            look.change(rung=Rung("by hand", look.effects.view, chosen))

@@ -28,10 +28,8 @@ def timeline_panel(ui: Widgets, parts: WindowParts) -> None:
     if line.frames == 1 and parts.posing.edit is None:
         imgui.text("live" if parts.state.playback.live else "one pose")
         return
-    text, short = (
-        f"frame {line.frame} of {line.frames}   {line.seconds:.2f} s of {line.duration:.2f} s",
-        f"{line.seconds:.2f} s",
-    )
+    short = f"{line.seconds:.2f} s"
+    text = f"frame {line.frame} of {line.frames}   {short} of {line.duration:.2f} s"
     imgui.text(text if imgui.calc_text_size(text).x < imgui.get_content_region_avail().x else short)
     _scrubber(ui, parts)
 
@@ -44,12 +42,6 @@ def _scrubber(ui: Widgets, parts: WindowParts) -> None:
         line.seek(frame)
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     draw = imgui.get_window_draw_list()
-
-    def across(frame: float | int) -> float:
-        return low.x + (high.x - low.x) * (frame + 0.5) / line.frames
-
     for seconds, _ in parts.viewpoint.cameras.keys:
-        x = across(seconds * line.rate - 0.5)
-        draw.add_triangle_filled(
-            imgui.ImVec2(x - 4, low.y - 1), imgui.ImVec2(x + 4, low.y - 1), imgui.ImVec2(x, low.y + 6), MARK
-        )
+        x = low.x + (high.x - low.x) * seconds / line.duration
+        draw.add_triangle_filled((x - 4, low.y - 1), (x + 4, low.y - 1), (x, low.y + 6), MARK)

@@ -6,6 +6,7 @@ does is made from the table of keys and shows the key.
 
 from collections.abc import Callable, Sequence
 from pathlib import PurePath
+from typing import TypeVar
 
 from imgui_bundle import imgui
 
@@ -14,6 +15,7 @@ from player.window.parts import WindowParts
 
 Span = tuple[float, float]
 Box = tuple[float, float, float, float]
+Value = TypeVar("Value")
 # letters' heights at which a tooltip's line ends
 TIP_WIDTH = 22.0
 
@@ -22,31 +24,31 @@ class Widgets:
     """The widgets of one window, and where those of the last frame were."""
 
     def __init__(self):
-        # left, top, right and bottom of each widget of the last frame with its label, window units, and its tooltip
-        self.boxes: dict[str, Box] = {}
-        self.tips: dict[str, str] = {}
-        self._placing: dict[str, Box] = {}
-        self._tipping: dict[str, str] = {}
         # triangles that show what is under them
         self._unfolded: set[str] = set()
+        self.begin()
 
     def begin(self) -> None:
-        self._placing, self._tipping = {}, {}
-
-    def end(self) -> None:
-        """The frame is complete: scripts find what it has."""
-        self.boxes, self.tips = self._placing, self._tipping
+        """A new frame."""
+        # left, top, right and bottom of each widget of the frame with its label, window units, and its tooltip
+        self.boxes: dict[str, Box] = {}
+        self.tips: dict[str, str] = {}
 
     def _done(self, name: str, tip: str) -> None:
         """The last widget is `name`; `tip` is shown while the pointer rests on it."""
         low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-        self._placing[name] = (low.x, low.y, high.x, high.y)
-        self._tipping[name] = tip
+        self.boxes[name] = (low.x, low.y, high.x, high.y)
+        self.tips[name] = tip
         if tip and imgui.begin_item_tooltip():
             imgui.push_text_wrap_pos(TIP_WIDTH * imgui.get_font_size())
             imgui.text_unformatted(tip)
             imgui.pop_text_wrap_pos()
             imgui.end_tooltip()
+
+    def _changed(self, found: tuple[bool, Value], name: str, tip: str) -> Value | None:
+        """The new value of the last widget, from Dear ImGui's answer."""
+        self._done(name, tip)
+        return found[1] if found[0] else None
 
     # -- buttons
 
@@ -58,7 +60,7 @@ class Widgets:
             _stay_on_line(text, width)
         color = imgui.Col_.button_active if on else imgui.Col_.button
         imgui.push_style_color(imgui.Col_.button, imgui.get_style().color_(color))
-        pressed = imgui.button(f"{text}##{name}", imgui.ImVec2(width, 0))
+        pressed = imgui.button(f"{text}##{name}", (width, 0))
         imgui.pop_style_color()
         self._done(name or text.lower(), tip)
         return pressed
@@ -86,40 +88,29 @@ class Widgets:
         """One of a short list."""
         if width is not None:
             imgui.set_next_item_width(width)
-        changed, chosen = imgui.combo(f"{label}##{name}", chosen, list(known))
-        self._done(name or label, tip)
-        return chosen if changed else None
+        return self._changed(imgui.combo(f"{label}##{name}", chosen, list(known)), name or label, tip)
 
     def slider(
         self, label: str, value: float, span: Span, tip: str, *, name: str = "", form: str = "%.0f deg"
     ) -> float | None:
-        changed, value = imgui.slider_float(f"{label}##{name}", value, *span, form)
-        self._done(name or label, tip)
-        return value if changed else None
+        return self._changed(imgui.slider_float(f"{label}##{name}", value, *span, form), name or label, tip)
 
     def scrubber(self, frame: int, last: int, tip: str) -> int | None:
         """The long slider of the timeline."""
         imgui.set_next_item_width(-1)
-        changed, frame = imgui.slider_int("##scrub", frame, 0, last, "")
-        self._done("scrub", tip)
-        return frame if changed else None
+        return self._changed(imgui.slider_int("##scrub", frame, 0, last, ""), "scrub", tip)
 
     def numbers(self, label: str, values: Sequence[float], tip: str, *, name: str) -> list[float] | None:
         """Three numbers that are dragged or typed."""
-        changed, values = imgui.drag_float3(f"{label}##{name}", [float(v) for v in values], 0.01, -100.0, 100.0, "%.2f")
-        self._done(name, tip)
-        return values if changed else None
+        numbers = [float(value) for value in values]
+        return self._changed(imgui.drag_float3(f"{label}##{name}", numbers, 0.01, -100.0, 100.0, "%.2f"), name, tip)
 
     def number(self, label: str, value: float, tip: str, *, name: str) -> float | None:
         """A number to type, or to step by one or by five."""
-        changed, value = imgui.input_float(f"{label}##{name}", value, 1.0, 5.0, "%.2f")
-        self._done(name, tip)
-        return value if changed else None
+        return self._changed(imgui.input_float(f"{label}##{name}", value, 1.0, 5.0, "%.2f"), name, tip)
 
-    def color(self, label: str, color: Sequence[float], tip: str, *, name: str = "") -> list[float] | None:
-        changed, color = imgui.color_edit3(f"{label}##{name}", list(color))
-        self._done(name or label, tip)
-        return color if changed else None
+    def color(self, label: str, color: Sequence[float], tip: str, *, name: str) -> list[float] | None:
+        return self._changed(imgui.color_edit3(f"{label}##{name}", list(color)), name, tip)
 
     def field(self, label: str, text: str, tip: str, *, hint: str = "") -> str:
         """A field of text; what is in it now."""
@@ -152,7 +143,7 @@ class Widgets:
 
     def triangle(self, name: str, tip: str) -> bool:
         """Before the next widget of the line: shows or hides what is under it; whether that is to be drawn."""
-        imgui.push_style_color(imgui.Col_.button, imgui.ImVec4(0, 0, 0, 0))
+        imgui.push_style_color(imgui.Col_.button, (0, 0, 0, 0))
         if imgui.arrow_button(f"##{name}", imgui.Dir.down if name in self._unfolded else imgui.Dir.right):
             self._unfolded ^= {name}
         imgui.pop_style_color()
@@ -162,7 +153,7 @@ class Widgets:
 
     def no_triangle(self) -> None:
         """The room of one, so that lists without numbers stand below those with them."""
-        imgui.dummy(imgui.ImVec2(imgui.get_frame_height(), imgui.get_frame_height()))
+        imgui.dummy((imgui.get_frame_height(), imgui.get_frame_height()))
         imgui.same_line(0, imgui.get_style().item_inner_spacing.x)
 
     def fold(self, title: str, tip: str, rows: Callable[[], None]) -> None:

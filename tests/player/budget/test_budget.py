@@ -165,7 +165,7 @@ def test_the_window_goes_down_under_load_and_up_again(said, monkeypatch, avatar)
             return now[0]
 
     window, clock = None, Clock()
-    window = Window(opened_show(scene, [avatar]), size=(96, 96), null=True, clock=clock, budget=(13.0, ["mannequin"]))
+    window = Window(opened_show(scene, [avatar]), size=(96, 96), null=True, clock=clock, budget=13.0)
     try:
         budget, seen = window.parts.budget, []
 
@@ -194,10 +194,8 @@ def test_the_window_goes_down_under_load_and_up_again(said, monkeypatch, avatar)
 
 
 def test_a_film_of_the_window_keeps_what_it_began_with(said, avatar):
-    window = Window(
-        opened_show(Scene((SceneAvatar("mannequin", "counting"),)), [avatar]), size=(64, 64), null=True,
-        budget=(13.0, ["mannequin"]),
-    )  # fmt: skip
+    show = opened_show(Scene((SceneAvatar("mannequin", "counting"),)), [avatar])
+    window = Window(show, size=(64, 64), null=True, budget=13.0)
     try:
         budget = window.parts.budget
         for _ in range(100):

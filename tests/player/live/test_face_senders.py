@@ -15,10 +15,10 @@ from avatar.skeleton import JOINT_NUMBERS as J
 from player.draw.drawing import Pose
 from player.live.command import encoder, timed_poses
 from player.live.face_sender import with_head
-from player.live.frame import LivePose
+from player.live.frame import MalformedError
 from player.live.gains import Gains
 from player.live.inbox import Inbox
-from player.live.json_pose import PoseError, build_pose, parse_pose
+from player.live.json_pose import build_pose, parse_pose
 from player.live.openseeface import FEATURES, HEAD, SIZE
 from player.live.osc import build_bundle, build_message
 from player.live.playback import LivePlayback
@@ -55,8 +55,8 @@ def vmc(weights=WEIGHTS, apply=True):
 
 
 def json_pose(weights=WEIGHTS, sequence=0):
-    pose = parse_pose(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.0, sequence=sequence)).pose
-    text = build_pose(pose.axis_angle, pose.root, time=0.0, sequence=sequence).decode()
+    pose = parse_pose(build_pose(Pose(np.zeros((52, 3)), np.zeros(3)), time=0.0, sequence=sequence)).pose
+    text = build_pose(pose, time=0.0, sequence=sequence).decode()
     return text.replace("{", '{"face":' + str(weights).replace("'", '"') + ",", 1).encode()
 
 
@@ -126,7 +126,7 @@ def test_values_of_vmc_hold_until_the_next_apply_and_come_with_or_without_bones(
     "face", ["[1]", '{"jawOpen": 1.5}', '{"jawOpen": true}', '{"jawOpen": "1"}', '{"jawOpen": NaN}']
 )
 def test_a_face_in_json_that_is_none_is_refused(face):
-    with pytest.raises(PoseError):
+    with pytest.raises(MalformedError):
         parse_pose(json_pose({}).replace(b'"face":{}', b'"face":' + face.encode()))
     assert parse_pose(json_pose({"what": 1.0})).pose.face.weights.max() == 0
     assert parse_pose(json_pose({}).replace(b'"face":{}', b'"face":null')).pose.face is None
@@ -225,7 +225,7 @@ def test_a_take_keeps_faces_and_one_without_has_none(tmp_path):
         take = Take(tmp_path / f"{name}.npz")
         for n in (0, 1, 2, 4):
             face = FaceFrame(np.full(52, 0.1 * n), np.full((2, 2), 0.02 * n)) if faces and n else None
-            take.add(n / 30, LivePose(np.zeros((52, 3)), np.zeros(3), face))
+            take.add(n / 30, Pose(np.zeros((52, 3)), np.zeros(3), face))
         take.finish()
         clip = read_motion(tmp_path / f"{name}.npz").read()
         assert (clip.face is not None) == faces

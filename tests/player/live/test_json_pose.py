@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from player.live.frame import Counters
+from player.draw.drawing import Pose
+from player.live.frame import Counters, MalformedError
 from player.live.inbox import Inbox
-from player.live.json_pose import REORDERED, JsonDecoder, PoseError, build_pose, parse_pose
+from player.live.json_pose import REORDERED, JsonDecoder, build_pose, parse_pose
 from player.live.osc import build_bundle, build_message
 from player.live.take import Take
 
@@ -15,13 +16,13 @@ from player.live.take import Take
 def message(sequence=0, *, sender="a", seconds=None):
     seconds = sequence / 60 if seconds is None else seconds
     pose = np.full((52, 3), 0.01 * (sequence % 100))
-    return build_pose(pose, np.zeros(3), time=seconds, sequence=sequence, sender=sender)
+    return build_pose(Pose(pose, np.zeros(3)), time=seconds, sequence=sequence, sender=sender)
 
 
 def test_a_pose_survives_the_text_and_unknown_keys_are_ignored():
     rng = np.random.default_rng(0)
     axis_angle, root = rng.normal(size=(52, 3)), rng.normal(size=3)
-    found = parse_pose(build_pose(axis_angle, root, time=12.5, sequence=7, sender="x", pelvis_height=0.93))
+    found = parse_pose(build_pose(Pose(axis_angle, root), time=12.5, sequence=7, sender="x", pelvis_height=0.93))
     assert np.abs(found.pose.axis_angle - axis_angle).max() < 1e-6 and np.abs(found.pose.root - root).max() < 1e-6
     assert (found.time, found.sequence, found.sender, found.pelvis_height) == (12.5, 7, "x", 0.93)
     assert parse_pose(broken(betas=[1, 2], expr={"a": 1}, id=...)).sender == ""
@@ -59,7 +60,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_is_no_pose_is_refused(case):
-    with pytest.raises(PoseError):
+    with pytest.raises(MalformedError):
         parse_pose(REFUSED[case])
 
 

@@ -19,12 +19,12 @@ from avatar.body import builtin_body
 from avatar.motion.amass import read_amass
 from avatar.motion.read import builtin_motion
 from command.errors import AssetError
-from player.live.command import connected, encoder, send, stream_main, timed_poses
-from player.live.frame import LivePose
+from player.draw.drawing import Pose
+from player.live.command import encoder, send, stream_main, timed_poses
 from player.live.inbox import Inbox
 from player.live.json_pose import build_pose
 from player.live.playback import LivePlayback
-from player.live.receiver import listen
+from player.live.receiver import listen, udp_socket
 from player.play_command import play_main
 from player.scene.address import Address, parse_address
 
@@ -56,7 +56,7 @@ def test_a_sender_that_was_stopped_does_not_hurry_through_what_it_missed():
         waits.append(wait)
         now[0] += wait
 
-    poses = ((n / 10, LivePose(np.zeros((52, 3)), np.zeros(3))) for n in range(30))
+    poses = ((n / 10, Pose(np.zeros((52, 3)), np.zeros(3))) for n in range(30))
     assert send(poses, lambda *_: b"", deliver, clock=lambda: now[0], sleep=sleep) == 30
     assert min(waits) > 0 and len(waits) >= 26 and abs(now[0] - 12.9) < 0.2
 
@@ -72,13 +72,13 @@ def web_socket():
 
 def test_web_sockets_take_poses_of_programs_and_of_no_foreign_page(web_socket):
     inbox, url = web_socket
-    message = build_pose(np.full((52, 3), 0.1), np.zeros(3), time=0.0, sequence=0)
+    message = build_pose(Pose(np.full((52, 3), 0.1), np.zeros(3)), time=0.0, sequence=0)
     with connect(url) as sender:
         sender.send(message.decode())
         assert inbox.wait(0, 600)
         sender.send("x" * 20_000)  # larger than a pose: counted
         sender.send("{}")
-        sender.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.1, sequence=1))  # bytes do as well
+        sender.send(build_pose(Pose(np.zeros((52, 3)), np.zeros(3)), time=0.1, sequence=1))  # bytes do as well
         assert inbox.wait(1, 600)
         assert (inbox.counters.oversized, inbox.counters.malformed) == (1, 1)
         with pytest.raises(ConnectionClosed):
@@ -87,7 +87,7 @@ def test_web_sockets_take_poses_of_programs_and_of_no_foreign_page(web_socket):
     with pytest.raises(InvalidStatus):
         connect(url, origin="https://example.org")
     with connect(url, origin="http://localhost:8000") as page:
-        page.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.2, sequence=2))
+        page.send(build_pose(Pose(np.zeros((52, 3)), np.zeros(3)), time=0.2, sequence=2))
         assert inbox.wait(2, 600)
 
 
@@ -97,6 +97,7 @@ resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
 import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
+from player.draw.drawing import Pose
 from player.scene.address import Address
 from player.live.inbox import Inbox
 from player.live.json_pose import build_pose
@@ -111,7 +112,7 @@ deadline = time.monotonic() + 600
 while inbox.counters.frames == 0 and time.monotonic() < deadline:
     try:
         with connect(f"ws://127.0.0.1:{place[1]}", open_timeout=2) as sender:
-            sender.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.0, sequence=0))
+            sender.send(build_pose(Pose(np.zeros((52, 3)), np.zeros(3)), time=0.0, sequence=0))
             inbox.wait(0, 2)
     except (OSError, WebSocketException):
         time.sleep(0.2)
@@ -174,7 +175,7 @@ def test_silent_senders_give_their_place_to_a_new_one(web_socket, monkeypatch):
             early.recv(timeout=600)
         monkeypatch.setattr("player.live.receiver.SILENT", 0.0)
         sender = senders.enter_context(connect(url))
-        sender.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.0, sequence=0))
+        sender.send(build_pose(Pose(np.zeros((52, 3)), np.zeros(3)), time=0.0, sequence=0))
         assert inbox.wait(0, 600)
         # whichever of them was admitted first
         for one in silent * 40:
@@ -233,7 +234,7 @@ class Sender(threading.Thread):
         self.others, self.stop, self.sent = others, threading.Event(), 0
 
     def run(self):
-        with connected(self.address) as connection:
+        with udp_socket(self.address, listens=False) as connection:
             while not self.stop.wait(1 / 240):
                 packets = [self.encode(self.sent, self.sent / 240, self.pose), *self.others]
                 for packet in packets:
@@ -263,7 +264,7 @@ def test_the_window_shows_what_a_sender_sends(kind, avatar_path, tmp_path, capsy
     rng = np.random.default_rng(0)
     nonsense = [rng.bytes(200), b"#bundle\0" + bytes(9), b"[" * 500]
     still = play_live(avatar_path, f"{kind}:{free_port()}", tmp_path / "still.png", "wait wait")
-    with Sender(kind, LivePose(clip.axis_angle[0], clip.root[0]), nonsense) as sender:
+    with Sender(kind, Pose(clip.axis_angle[0], clip.root[0]), nonsense) as sender:
         options = ("--record", str(tmp_path / "take.npz"), "--smooth")
         posed = play_live(avatar_path, sender.address, tmp_path / "a.png", "pose " * 12, *options)
     assert (posed != still).any(-1).mean() > 0.02
@@ -277,7 +278,7 @@ def test_the_window_shows_what_a_sender_sends(kind, avatar_path, tmp_path, capsy
 
 def play_file(avatar_path, tmp_path, clip):
     """The same pose from a file, standing at the origin, drawn by the live window's camera: held by a silent sender."""
-    with Sender("udp", LivePose(clip.axis_angle[0], clip.root[0] * [0, 1, 0])) as sender:
+    with Sender("udp", Pose(clip.axis_angle[0], clip.root[0] * [0, 1, 0])) as sender:
         return play_live(avatar_path, sender.address, tmp_path / "b.png", "pose pose pose")
 
 
@@ -293,7 +294,7 @@ sys.exit(main(["play", *sys.argv[1:]]))
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_take_outlives_what_ends_the_window(number, code, avatar_path, tmp_path):
     path, recording = tmp_path / "take.npz", tmp_path / "take.npz.recording"
-    with Sender("vmc", LivePose(np.full((52, 3), 0.1), np.array([0.0, 0.9, 0.0]))) as sender:
+    with Sender("vmc", Pose(np.full((52, 3), 0.1), np.array([0.0, 0.9, 0.0]))) as sender:
         arguments = [avatar_path, "--live", str(sender.address), "--platform", "null", "--size", "160x200"]
         process = subprocess.Popen(
             [sys.executable, "-c", PLAYED, *arguments, "--record", str(path)],
@@ -316,7 +317,7 @@ def test_a_take_outlives_what_ends_the_window(number, code, avatar_path, tmp_pat
 def test_pause_holds_a_pose_and_t_takes_the_t_pose(avatar_path, tmp_path, capsys):
     turned = np.zeros((52, 3))
     turned[16, 2] = -1.0
-    pose = LivePose(turned, np.array([5.0, 0.9, 5.0]))
+    pose = Pose(turned, np.array([5.0, 0.9, 5.0]))
     with Sender("vmc", pose) as sender:
         posed = play_live(avatar_path, sender.address, tmp_path / "a.png", "pose pose space wait wait h wait")
         assert "frames" in capsys.readouterr().out
@@ -352,7 +353,7 @@ def test_the_line_tells_rate_age_loss_and_silence(avatar):
     assert live.status() == "udp:127.0.0.1:1  waiting for poses, 1 packets are no poses"
     for n in range(60):
         if n != 30:
-            inbox.feed(build_pose(np.zeros((52, 3)), np.zeros(3), time=n / 60, sequence=n), 100 + n / 60)
+            inbox.feed(build_pose(Pose(np.zeros((52, 3)), np.zeros(3)), time=n / 60, sequence=n), 100 + n / 60)
     now[0] = 101.0
     live.poses()
     live.drawn()
@@ -368,7 +369,7 @@ def test_roots_are_scaled_placed_and_lifted(avatar):
     assert live.poses()[0][1][1] == height  # standing until something comes
 
     def feed(n, root, pelvis_height=None):
-        data = build_pose(np.zeros((52, 3)), np.array(root), time=n / 60, sequence=n, pelvis_height=pelvis_height)
+        data = build_pose(Pose(np.zeros((52, 3)), np.array(root)), time=n / 60, sequence=n, pelvis_height=pelvis_height)
         inbox.feed(data, 100 + n / 60)
         return live.poses()[0][1]
 

@@ -12,7 +12,8 @@ import pytest
 from avatar.motion.amass import read_amass, write_amass
 from avatar.motion.clip import Clip, Motion
 from command.errors import AssetError
-from player.live.frame import LiveFrame, LivePose
+from player.draw.drawing import Pose
+from player.live.frame import LiveFrame
 from player.live.latency import Latency
 from player.live.one_euro import OneEuro
 from player.live.take import MOST_FRAMES, Take, even_rate
@@ -23,7 +24,7 @@ ROOT = Path(__file__).parents[3]
 def pose(angle, joint=16):
     axis_angle = np.zeros((52, 3))
     axis_angle[joint, 2] = angle
-    return LivePose(axis_angle, np.array([angle, 1.0, 0.0]))
+    return Pose(axis_angle, np.array([angle, 1.0, 0.0]))
 
 
 @pytest.fixture
@@ -96,12 +97,12 @@ def test_a_take_that_cannot_be_written_is_kept_and_saved_by_the_next(tmp_path, m
 KILLED = """
 import os, signal, sys
 import numpy as np
-from player.live.frame import LivePose
+from player.draw.drawing import Pose
 from player.live.take import Take
 take = Take(sys.argv[1])
 take.sender_height = lambda: 0.85
 for n in range(100):
-    take.add(n / 60, LivePose(np.full((52, 3), 0.01 * n), np.zeros(3)))
+    take.add(n / 60, Pose(np.full((52, 3), 0.01 * n), np.zeros(3)))
 os.write(take.file, bytes(100))  # a record cut short
 os.kill(os.getpid(), signal.SIGKILL)
 """

@@ -9,9 +9,10 @@ from pythonosc.osc_message_builder import OscMessageBuilder
 
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS
-from player.live.calibration import identity_calibration, pose_from_rig
-from player.live.frame import Counters
-from player.live.osc import LARGEST, MOST_MESSAGES, Message, OscError, build_bundle, build_message, parse_packet
+from player.draw.drawing import Pose
+from player.live.calibration import NORMALISED, pose_from_rig
+from player.live.frame import Counters, MalformedError
+from player.live.osc import LARGEST, MOST_MESSAGES, Message, build_bundle, build_message, parse_packet
 from player.live.vmc import BONES, VmcDecoder, VmcEncoder, leg_length, rig_from_state
 from player.scene.mannequin import builtin_body
 
@@ -31,7 +32,7 @@ def decoded(*packets):
 
 
 def pose_of(*packets):
-    return pose_from_rig(rig_from_state(decoded(*packets)[0].content), identity_calibration())
+    return pose_from_rig(rig_from_state(decoded(*packets)[0].content), NORMALISED)
 
 
 def random_pose(seed=0, scale=0.8):
@@ -63,7 +64,7 @@ def test_the_arm_rises_the_root_moves_the_pelvis_and_the_leg_is_measured():
     # ours: -90 degrees about y takes +z to -x
     assert np.allclose(pose.root, [-1 - 2, 1, 0], atol=1e-6)
     assert np.allclose(pose.axis_angle[0], [0, -np.pi / 2, 0], atol=1e-6)
-    packet = VmcEncoder(BODY.joints).encode(*random_pose(), 0.0)
+    packet = VmcEncoder(BODY.joints).encode(Pose(*random_pose()), 0.0)
     leg = rig_from_state(decoded(packet)[0].content).leg
     assert abs(leg - (-BODY.joints[[7, 8], 1].mean())) < 0.03 * leg  # legs of the rest pose are almost straight
     assert leg_length(np.zeros((52, 3))) is None
@@ -157,7 +158,7 @@ def test_python_osc_and_we_read_what_the_other_writes_to_a_depth():
     for _ in range(8):
         packet = build_bundle([packet])
     assert parse_packet(packet) == [("/a", (1,))]
-    with pytest.raises(OscError, match="nested"):
+    with pytest.raises(MalformedError, match="nested"):
         parse_packet(build_bundle([packet]))
 
 
@@ -188,10 +189,10 @@ LIES = {
 
 @pytest.mark.parametrize("lie", LIES)
 def test_what_is_no_packet_is_refused(lie):
-    with pytest.raises(OscError):
+    with pytest.raises(MalformedError):
         parse_packet(LIES[lie])
 
 
 def test_a_bundle_whose_last_number_is_cut_off_is_refused_by_its_element():
-    with pytest.raises(OscError, match="an element of 12 bytes in a bundle with 8 left"):
+    with pytest.raises(MalformedError, match="an element of 12 bytes in a bundle with 8 left"):
         parse_packet(build_bundle([build_message("/a", 1.5)])[:-4])
