@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
+from refusals import refused
 from tiny_avatar import tiny_avatar, tiny_face
 
 from avatar.gltf.avatar_file import write_avatar
@@ -41,8 +41,7 @@ def test_complete_stages_are_kept_and_one_without_its_product_stops_the_demo(tmp
     assert log == ["b", "c"]
     log.clear()
     todo = [Stage("train", tmp_path / "run.json", lambda: 0), writing(tmp_path / "b", log, "b")]
-    with pytest.raises(AssetError, match="'train' ended without"):
-        run_stages(todo)
+    refused(AssetError, "'train' ended without", run_stages, todo)
     assert log == []
 
 
@@ -90,10 +89,8 @@ def test_every_effect_is_timed_alone_and_together_and_the_command_needs_one():
     everything = effects.cases(tiny_avatar())[-1].effects
     assert all(getattr(everything, s.name) is not None for s in settings_of(Effects) if s.table is not None)
     assert parse(BenchCommand, ["--effects", "-o", "x"], BENCH).avatar is None
-    with pytest.raises(ValueError, match="give AVATAR or --effects"):
-        BenchCommand(Path("x"))
-    with pytest.raises(ValueError, match="leave --effects out"):
-        BenchCommand(Path("x"), effects=True, run=Path("run"))
+    refused(ValueError, "give AVATAR or --effects", BenchCommand, Path("x"))
+    refused(ValueError, "leave --effects out", BenchCommand, Path("x"), effects=True, run=Path("run"))
 
 
 def test_the_table_has_what_ran_and_what_it_holds(tmp_path, monkeypatch):
