@@ -33,3 +33,8 @@ def charted_ball(size: int, padding: int, *, faces: int = 800, step: float = 0.0
     weight = barycentric(chart.uv, chart.faces, texels, np.zeros(2))
     points = (weight[:, :, None] * corners[texels.face]).sum(1)
     return ChartedBall(chart, texels, chart_edges(chart.uv, chart.faces, chart.source), corners, points, mesh)
+
+
+def line(count: int) -> TexelMap:
+    """So many texels in a row."""
+    return TexelMap(np.arange(count), np.zeros(count, int), np.ones(count, bool), count)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import trimesh
 
 from avatar.baked_avatar import Avatar
 from avatar.face import SHAPES, Eye, FaceFrame, FaceShapes
@@ -14,25 +15,9 @@ HEAD, RADIUS = 15, 0.012
 
 def ball(center):
     """Points of a sphere and its triangles, seen from outside."""
-    rings, around = 9, 12
-    down, angle = np.linspace(0.01, np.pi - 0.01, rings), np.arange(around) * 2 * np.pi / around
-    points = np.stack(
-        [
-            np.sin(down)[:, None] * np.cos(angle),
-            np.sin(down)[:, None] * np.sin(angle),
-            np.cos(down)[:, None] + 0 * angle,
-        ],
-        -1,
-    ).reshape(-1, 3)
-    k, j = np.mgrid[: rings - 1, :around]
-    a, b, c, d = (
-        k * around + j,
-        k * around + (j + 1) % around,
-        (k + 1) * around + j,
-        (k + 1) * around + (j + 1) % around,
-    )
-    faces = np.concatenate([np.stack([a, c, b], -1), np.stack([b, c, d], -1)]).reshape(-1, 3)
-    return (center + RADIUS * points).astype(np.float32), points.astype(np.float32), faces
+    sphere = trimesh.creation.icosphere(subdivisions=2)
+    points = np.asarray(sphere.vertices)
+    return (center + RADIUS * points).astype(np.float32), points.astype(np.float32), np.asarray(sphere.faces)
 
 
 @cache

@@ -74,17 +74,8 @@ def oracle_avatar(subject):
         base_color=subject.textures[0],
         features=None,
     )
-    return Avatar(
-        "striped",
-        subject.joints,
-        BIG_POSE,
-        (level,),
-        None,
-        None,
-        0.6,
-        "off",
-        {"baked": {"against_field": {"paper_db": 40.0}}},
-    )
+    facts = {"baked": {"against_field": {"paper_db": 40.0}}}
+    return Avatar("striped", subject.joints, BIG_POSE, (level,), None, None, 0.6, "off", facts)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -238,12 +238,7 @@ def test_an_atlas_too_small_for_the_pictures_gets_no_face():
         with_face([replace(SHEET.level, base_color=SHEET.level.base_color[::4, ::4])], SHEET.person)
 
 
-def test_another_template_gets_no_face():
-    with pytest.raises(FaceRefused, match="not of the built-in body"):
-        person_face(replace(SHEET.subject, faces=SHEET.subject.faces[:, [1, 2, 0]]))
-
-
-def test_a_bake_says_once_why_a_face_stays_still():
+def test_another_template_gets_no_face_and_the_bake_says_once_why_it_stays_still():
     avatar, lines = tiny_avatar(), []
     other = replace(SHEET.subject, faces=SHEET.subject.faces[:, [1, 2, 0]])
     assert faced(avatar, other, _Clock(lines.append)) is avatar

@@ -134,12 +134,8 @@ def test_directions_as_far_out_as_the_data_are_bent_as_designed(degrees, reached
     assert angle <= degrees and angle == pytest.approx(reached, abs=0.2 * degrees)
 
 
-def test_visibility_rises_with_the_count_and_surface_never_seen_looks_against_its_normals(ball):
+def test_visibility_rises_with_the_count(ball):
     count, *rest = seen_ball(ball)
     count = np.resize([0.0, 5.0, 12.5, 20.0, 1e6], len(count))
     seen = view_cone(count, *rest).seen
     np.testing.assert_allclose(seen[:5], [0, 0, 0.5, 1, 1])
-    count, mean, covariance, normals, faces = seen_ball(ball)
-    cone = view_cone(0 * count, 0 * mean, 0 * covariance, normals, faces)
-    np.testing.assert_allclose(cone.direction, -normals, atol=1e-12)
-    assert (cone.seen == 0).all()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from charted_ball import line
 from filmed_part import FoundVideos
 from painted_capture import write_capture
 from scipy.ndimage import gaussian_filter
@@ -30,7 +31,7 @@ from bake.texture.pixel_reads import (
     posed_frames,
     vertex_importance,
 )
-from bake.texture.texels import TexelMap, neighbour_pairs
+from bake.texture.texels import neighbour_pairs
 from bake.texture.texture_solve import Equations, Prior, shown_range, solve_change, within_shown
 from bake.texture.video_texture import averaged, averaging, doubted, solve_texture, strange_on_hair
 from capture.folder import PartVideo, read_capture
@@ -87,10 +88,15 @@ def videos(context, painted):
     return FoundVideos(Path(), None, head_from_canonical, {}, False, None, found)
 
 
-def test_a_painted_texture_comes_back_from_its_pictures(painted, videos):
+@pytest.fixture(scope="module")
+def grey(painted):
+    """Its finest level without paint."""
     level = painted.levels[0]
-    grey = replace(level, base_color=np.full_like(level.base_color, 128))
-    lines = []
+    return replace(level, base_color=np.full_like(level.base_color, 128))
+
+
+def test_a_painted_texture_comes_back_from_its_pictures(painted, videos, grey):
+    level, lines = painted.levels[0], []
     solved = solve_texture(level_of_file(grey), painted.joint_positions, videos, lines.append)
     mesh = atlas_mesh(level, painted.joint_positions)
     truth = level.base_color.reshape(-1, 3)[mesh.texels.index] / 255
@@ -117,10 +123,9 @@ def shining(level):
         (cone_direction(tangent, everywhere) - everywhere.direction)[:, :1], 3, 1))  # fmt: skip
 
 
-def test_what_follows_the_eye_stays_out_of_the_texture(rasteriser, painted, videos):
+def test_what_follows_the_eye_stays_out_of_the_texture(rasteriser, painted, videos, grey):
     mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
-    level = painted.levels[0]
-    change, found = shining(level), {}
+    change, found = shining(painted.levels[0]), {}
     for part, video in videos.found.items():
         images = video.images.astype(np.float64)
         for image, frame in zip(images, posed_frames(mesh, video, videos.head_from_canonical)):
@@ -129,12 +134,10 @@ def test_what_follows_the_eye_stays_out_of_the_texture(rasteriser, painted, vide
             image[drawn.face >= 0] += 255 * added[drawn.face >= 0]
         found[part] = replace(video, images=np.uint8(np.clip(np.round(images), 0, 255)))
     filmed = replace(videos, found=found)
-    grey = level_of_file(replace(level, base_color=np.full_like(level.base_color, 128)))
-
     # what the solution leaves of each video's pixels, of 255: a shine that turns with the camera fits no texture
     left = {}
     for known in (change, None):
-        solved = solve_texture(grey, painted.joint_positions, filmed, lambda line: None, known)
+        solved = solve_texture(level_of_file(grey), painted.joint_positions, filmed, lambda line: None, known)
         left[known is None] = {part: solved.facts[part]["rms_after"] for part in PARTS}
     assert left[False]["body"] < 0.5 * left[True]["body"]
     assert left[False]["head"] < 0.8 * left[True]["head"]
@@ -197,13 +200,9 @@ def test_the_light_of_a_frame_is_divided_out(rasteriser, painted, videos, still)
     assert frame_light(mesh._replace(light=None), frame, light, np.eye(3)) is None
 
 
-def line_texels(count):
-    return TexelMap(np.arange(count), np.zeros(count, int), np.ones(count, bool), count)
-
-
 def test_least_squares_finds_what_pixels_wider_than_texels_tell():
     """Means over four of twelve texels, at every offset, give back the texels but for the mean's null space."""
-    texels = line_texels(12)
+    texels = line(12)
     rows = [np.roll(np.r_[np.full(4, 0.25), np.zeros(8)], shift) for shift in range(9)]
     truth = np.random.default_rng(1).normal(size=(12, 1)).astype(np.float32)
     matrix = csr_matrix(np.array(rows, np.float32))
@@ -235,7 +234,7 @@ def test_texels_on_chart_edges_leave_a_color_that_is_far_off():
     pixels, seams = wide_pixels(count, width), Equations(csr_matrix(edges), np.zeros((40, 1), np.float32))
     told = [Equations(pixels, pixels @ np.full((count, 1), truth, np.float32))]
     prior = Prior(np.full(count, 1e-4), np.full(count, 4e-3))
-    found = solve_change(told, prior, neighbour_pairs(line_texels(count)), stiff=seams)[:, 0]
+    found = solve_change(told, prior, neighbour_pairs(line(count)), stiff=seams)[:, 0]
     assert np.abs(found[sides] - truth).max() < 0.1 * truth
 
 
@@ -341,19 +340,17 @@ def test_the_chin_of_estimated_people_is_found_with_their_videos(filmed, tmp_pat
     assert run_videos(tmp_path / "run", made, None).chin is None
 
 
-def test_what_one_frame_shows_alone_is_doubted_and_still_counts_in_what_is_said(painted, videos, monkeypatch):
+def test_what_one_frame_shows_alone_is_doubted_and_still_counts_in_what_is_said(painted, videos, grey, monkeypatch):
     """Of estimated people: a patch of magenta in one frame of the body, as of somebody's hand that passes."""
     body = videos.video("body")
     images = body.images.copy()
     images[0, 40:60, 40:56] = [255, 0, 255]
     spoilt = {**videos.found, "body": replace(body, images=images)}
-    level = painted.levels[0]
-    grey = level_of_file(replace(level, base_color=np.full_like(level.base_color, 128)))
 
     def solved(found, doubt):
         monkeypatch.setattr(video_texture, "DOUBTED", doubt)
         filmed = replace(videos, estimated=True, found=found)
-        return solve_texture(grey, painted.joint_positions, filmed, lambda line: None)
+        return solve_texture(level_of_file(grey), painted.joint_positions, filmed, lambda line: None)
 
     clean, doubted_one, believed = solved(videos.found, 1e3), solved(spoilt, 0.15), solved(spoilt, 1e3)
     off = [np.square(one.image - clean.image).sum() for one in (doubted_one, believed)]
@@ -362,7 +359,7 @@ def test_what_one_frame_shows_alone_is_doubted_and_still_counts_in_what_is_said(
     assert doubted_one.facts["body"]["rms_after"] > believed.facts["body"]["rms_after"]
 
 
-def test_frames_beside_each_other_are_sharper_moved_again(painted, videos, monkeypatch):
+def test_frames_beside_each_other_are_sharper_moved_again(painted, videos, grey, monkeypatch):
     """Every other frame of the body a pixel to the left, the rest a pixel to the right."""
     body = videos.video("body")
     beside = [(-1) ** frame for frame in range(len(body.images))]
@@ -370,12 +367,11 @@ def test_frames_beside_each_other_are_sharper_moved_again(painted, videos, monke
                      for all_of in (body.images, body.masks))  # fmt: skip
     found = {**videos.found, "body": replace(body, images=images, masks=masks)}
     filmed = replace(videos, estimated=True, found=found)
-    level = painted.levels[0]
-    grey = level_of_file(replace(level, base_color=np.full_like(level.base_color, 128)))
     left = {}
     for moves in (1, 2):
         monkeypatch.setattr(video_texture, "MOVES", moves)
-        left[moves] = solve_texture(grey, painted.joint_positions, filmed, lambda line: None).facts["body"]["rms_after"]
+        solved = solve_texture(level_of_file(grey), painted.joint_positions, filmed, lambda line: None)
+        left[moves] = solved.facts["body"]["rms_after"]
     assert left[2] < 0.97 * left[1]
 
 
@@ -422,7 +418,7 @@ def test_a_solved_texture_is_kept_within_what_pixels_show(painted, videos, monke
 def test_a_solution_stays_within_what_pixels_show_there():
     """A dark collar that the field has three texels too far to the left, under pixels of eight texels: the skin beside
     it glows in the solution, not in what is kept of it."""
-    texels, width = line_texels(64), 8
+    texels, width = line(64), 8
     skin, cloth = 0.8, 0.2
     truth = np.where(np.arange(64) < 32, cloth, skin)[:, None].astype(np.float32)
     given = np.where(np.arange(64) < 29, cloth, skin)[:, None].astype(np.float32)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.ndimage import distance_transform_cdt
 
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
@@ -158,15 +159,12 @@ def test_a_part_is_compared_within_five_pixels_of_its_mask_and_only_the_t_pose_c
 def test_a_capture_without_truth_and_a_field_of_the_wrong_shape_are_refused_by_name(oracle, tmp_path):
     capture, avatar, _ = oracle
     (tmp_path / "capture.json").write_text((capture / "capture.json").read_text())
-    with pytest.raises(AssetError, match=r"truth/rest\.npz"):
-        eval_main([str(avatar), str(tmp_path)])
-    with pytest.raises(AssetError, match=r"nothing\.glb"):
-        eval_main([str(tmp_path / "nothing.glb"), str(capture)])
+    refused(AssetError, r"truth/rest\.npz", eval_main, [str(avatar), str(tmp_path)])
+    refused(AssetError, r"nothing\.glb", eval_main, [str(tmp_path / "nothing.glb"), str(capture)])
     shutil.copytree(oracle[0] / "truth", tmp_path / "truth")
     path = tmp_path / "truth" / "rest.npz"
     with np.load(path) as data:
         fields = dict(data)
     fields["part"] = fields["part"][:-1]
     np.savez(path, **fields)
-    with pytest.raises(AssetError, match="part should be"):
-        read_true_mesh(tmp_path)
+    refused(AssetError, "part should be", read_true_mesh, tmp_path)

@@ -8,6 +8,7 @@ import torch
 from capsules import icosphere
 from mesh_distance import mesh_distance
 from painted_capture import free_subject
+from refusals import refused
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, orbit_camera, pinhole
@@ -321,15 +322,12 @@ def test_lpips_is_its_formula(files, names):
 def test_an_image_too_small_for_lpips_says_so_and_weights_that_are_none_are_refused(files, tmp_path):
     score = read_perceptual([files / "whole.pth"]).score(*LATER.random((2, 30, 90, 3)))
     assert score.value is None and "90 x 30 px" in score.reason
-    with pytest.raises(AssetError, match=r"alexnet\.pth: no weight lin0\.model\.1\.weight"):
-        read_perceptual([files / "alexnet.pth"])
+    refused(AssetError, r"alexnet\.pth: no weight lin0\.model\.1\.weight", read_perceptual, [files / "alexnet.pth"])
     content = torch.load(files / "whole.pth", weights_only=True)
     torch.save(content | {"net.slice2.3.bias": torch.zeros(7)}, tmp_path / "short.pth")
-    with pytest.raises(AssetError, match=r"slice2\.3\.bias should be \(192,\), is \(7,\)"):
-        read_perceptual([tmp_path / "short.pth"])
+    refused(AssetError, r"slice2\.3\.bias should be \(192,\), is \(7,\)", read_perceptual, [tmp_path / "short.pth"])
     (tmp_path / "text.pth").write_text("no weights")
-    with pytest.raises(AssetError, match=r"text\.pth: expected a state dictionary"):
-        read_perceptual([tmp_path / "text.pth"])
+    refused(AssetError, r"text\.pth: expected a state dictionary", read_perceptual, [tmp_path / "text.pth"])
 
 
 def test_evaluation_gives_lpips_of_every_region_when_it_has_weights(oracle, files, monkeypatch):

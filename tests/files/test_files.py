@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from memory_use import mounted
+from refusals import refused
 
 import files.whole
 from command.errors import AssetError
@@ -68,8 +69,7 @@ def test_what_a_person_put_into_a_folder_of_ours_stays(tmp_path, change):
     else:
         (frames / "a").write_text("edited by hand")
     before = everything(tmp_path)
-    with pytest.raises(AssetError, match=r"is not known to be selfscan's|a in it was changed"):
-        write_frames(frames, "a", "second")
+    refused(AssetError, r"is not known to be selfscan's|a in it was changed", write_frames, frames, "a", "second")
     assert everything(tmp_path) == before and (frames / "b").read_text() == "first"
 
 
@@ -99,8 +99,7 @@ def test_the_old_folder_is_whole_until_the_new_one_is_in_place(tmp_path, monkeyp
     # where two names cannot change places in one step
     monkeypatch.setattr(files.whole, "_exchanged", lambda one, other: False)
     monkeypatch.setattr(files.whole.os, "rename", fails_at_the_second)
-    with pytest.raises(AssetError, match="cannot be written: Input/output error"):
-        write_frames(frames, "a", "second")
+    refused(AssetError, "cannot be written: Input/output error", write_frames, frames, "a", "second")
     assert everything(tmp_path) == ["frames", "frames/.selfscan", "frames/a", "frames/b", "frames/c"]
     assert (frames / "a").read_text() == "first"
 
@@ -108,8 +107,7 @@ def test_the_old_folder_is_whole_until_the_new_one_is_in_place(tmp_path, monkeyp
 def test_marks_that_name_files_elsewhere_and_folders_above_reach_nothing(tmp_path, monkeypatch):
     place = tmp_path / "none" / "deeper"
     for check, write in ((check_file, whole_file), (check_folder, whole_folder)):
-        with pytest.raises(AssetError, match=r"there is no folder .*none/deeper; make it first"):
-            check(place / "z")
+        refused(AssetError, r"there is no folder .*none/deeper; make it first", check, place / "z")
         with pytest.raises(AssetError, match="there is no folder"), write(place / "z"):
             pass
     assert list(tmp_path.iterdir()) == []

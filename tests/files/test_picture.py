@@ -11,6 +11,7 @@ import pytest
 from memory_use import at_most
 from pictures import film, png
 from PIL import Image
+from refusals import refused
 
 from capture.folder import _read_frames
 from capture.frame_files import sized_picture
@@ -85,8 +86,7 @@ def test_what_is_no_picture_of_ours_is_one_line_soon_and_starts_no_program(tmp_p
     ],
 )
 def test_a_webp_of_many_pixels_is_refused_by_its_header(data):
-    with pytest.raises(ValueError, match=r"at most 67108864 pixels, found 1638. x 1638."):
-        decode_picture(data, "RGB", formats=WITH_WEBP)
+    refused(ValueError, r"at most 67108864 pixels, found 1638. x 1638.", decode_picture, data, "RGB", formats=WITH_WEBP)
 
 
 def test_pictures_come_back_as_they_are(tmp_path):
@@ -135,8 +135,7 @@ def test_names_that_are_patterns_or_addresses_are_files(tmp_path, monkeypatch):
     refused_unopened(tmp_path / "img%03d.mp4", monkeypatch)
     monkeypatch.chdir(tmp_path)
     for name in ("concat:whole.mp4|whole.mp4", "subfile,,start,0,end,0,,:whole.mp4", "pipe:0", "http:"):
-        with pytest.raises(AssetError, match="no such file"):
-            open_film(Path(name))
+        refused(AssetError, "no such file", open_film, Path(name))
     film(tmp_path / "odd.mp4")
     os.rename("odd.mp4", "pipe:0.mp4")
     open_film("pipe:0.mp4").close()
@@ -153,13 +152,11 @@ def test_a_film_is_read_whatever_its_name(tmp_path, kind):
 def test_a_list_under_the_first_bytes_of_a_film_and_a_sound_are_refused_by_the_decoder(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "a.mp4").write_text("\0\0\0\x08ftypffconcat version 1.0\nfile pipe\n")
-    with pytest.raises(AssetError, match=r"a\.mp4: expected a .*, found: "):
-        open_film(tmp_path / "a.mp4")
+    refused(AssetError, r"a\.mp4: expected a .*, found: ", open_film, tmp_path / "a.mp4")
     with av.open(str(tmp_path / "a.mp4"), "w") as container:
         stream = container.add_stream("aac", rate=8000)
         sound = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), "fltp", "mono")
         sound.sample_rate = 8000
         container.mux(stream.encode(sound))
         container.mux(stream.encode(None))
-    with pytest.raises(AssetError, match=r"a\.mp4: expected a film, .*found a file without pictures"):
-        open_film(tmp_path / "a.mp4")
+    refused(AssetError, r"a\.mp4: expected a film, .*found a file without pictures", open_film, tmp_path / "a.mp4")

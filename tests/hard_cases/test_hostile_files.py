@@ -5,6 +5,7 @@ import os
 import struct
 import time
 import tracemalloc
+from functools import reduce
 from io import BytesIO
 from pathlib import Path
 
@@ -62,12 +63,16 @@ def test_cut_anywhere_with_lengths_mended(path, whole):
             read_avatar(path)
 
 
-def at(document, place: str):
-    """The holder and the key of a dotted place: "accessors.0.count"."""
+def lying(whole: bytes, place: str, value=...) -> bytes:
+    """The file with a value at a dotted place of its JSON ("accessors.0.count"), or without that key."""
+    document, binary = split_glb(whole)
     *way, last = (int(key) if key.isdigit() else key for key in place.split("."))
-    for key in way:
-        document = document[key]
-    return document, last
+    holder = reduce(lambda inner, key: inner[key], way, document)
+    if value is ...:
+        del holder[last]
+    else:
+        holder[last] = value
+    return join_glb(document, binary)
 
 
 OURS = "extensions.SELFSCAN_avatar"
@@ -148,22 +153,16 @@ LIES = [
 
 @pytest.mark.parametrize("place, value, match", LIES)
 def test_a_lie_in_the_json_is_named(path, whole, place, value, match):
-    document, binary = split_glb(whole)
-    holder, key = at(document, place)
-    holder[key] = value
-    refused(path, join_glb(document, binary), match, memory=isinstance(value, int) and value >= 2**29)
+    refused(path, lying(whole, place, value), match, memory=isinstance(value, int) and value >= 2**29)
 
 
 @pytest.mark.parametrize("place", [f"{OURS}.{key}" for key in ("network.w1", "linear", "levels", "amplitude")])
 def test_every_part_of_the_extension_may_be_absent_only_where_it_is_optional(path, whole, place):
-    document, binary = split_glb(whole)
-    holder, key = at(document, place)
-    del holder[key]
-    if key == "linear":
-        path.write_bytes(join_glb(document, binary))
+    if place.endswith("linear"):
+        path.write_bytes(lying(whole, place))
         assert read_avatar(path).linear is None
     else:
-        refused(path, join_glb(document, binary), key)
+        refused(path, lying(whole, place), place.rpartition(".")[2])
 
 
 FACE_LIES = [
@@ -204,10 +203,7 @@ FACE_LIES = [
 @pytest.mark.parametrize("place, value, match", FACE_LIES)
 def test_a_lie_about_a_face_is_named(path, place, value, match):
     write_avatar(path, tiny_face())
-    document, binary = split_glb(path.read_bytes())
-    holder, key = at(document, place)
-    holder[key] = value
-    refused(path, join_glb(document, binary), match)
+    refused(path, lying(path.read_bytes(), place, value), match)
 
 
 SPOILT = [
@@ -277,9 +273,7 @@ def test_numbers_beyond_floats_are_refused(path, whole, number):
     ],
 )
 def test_accessors_without_bytes_of_their_own_cannot_ask_for_much(path, whole, accessor):
-    document, binary = split_glb(whole)
-    document["accessors"][POSITION] = accessor
-    refused(path, join_glb(document, binary), r"accessors\[1\]")
+    refused(path, lying(whole, f"accessors.{POSITION}", accessor), r"accessors\[1\]")
 
 
 def test_channels_that_share_a_sampler_hold_its_keys_once(tmp_path):

@@ -166,21 +166,26 @@ def _set_comma_locale(tmp_path) -> bool:
         del os.environ["LOCPATH"]
 
 
-def test_the_cone_holds_for_every_direction(context, within):
-    """d = d̄, d = -d̄, d orthogonal, axes of zero length, enormous or of rank one; |t'| <= |t| <= 1; never NaN."""
-    rng = np.random.default_rng(5)
-    count = 4000
+def cones(seed, count, *, along, sizes, flat):
+    """Directions and cones: the first `along` of d along d̄, as many against it, and as many across it; axes from
+    10^sizes[0] to 10^sizes[1] long, every flat-th of no length; every eleventh not seen at all."""
+    rng = np.random.default_rng(seed)
     mean, d = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, count, 3)))
-    d[:500], d[500:1000] = mean[:500], -mean[500:1000]
-    side = np.cross(mean[1000:1500], d[1000:1500])
-    d[1000:1500] = side / np.linalg.norm(side, axis=1, keepdims=True)
-    axes = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-12, 3, (count, 1))
-    axes[::7] = 0
+    with_it, against, across = (slice(k * along, (k + 1) * along) for k in range(3))
+    d[with_it], d[against], side = mean[with_it], -mean[against], np.cross(mean[across], d[across])
+    d[across] = side / np.linalg.norm(side, axis=1, keepdims=True)
+    axes = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(*sizes, (count, 1))
+    axes[::flat] = 0
     q = axes[:, [0, 0, 0, 1, 1, 2]] * axes[:, [0, 1, 2, 1, 2, 2]]
     seen = rng.uniform(size=count)
     seen[::11] = 0
     values = {"d": d, "mean": mean, "q0": q[:, :3], "q1": q[:, 3:], "seen": seen}
-    values = {name: value.astype(np.float32) for name, value in values.items()}
+    return {name: value.astype(np.float32) for name, value in values.items()}
+
+
+def test_the_cone_holds_for_every_direction(context, within):
+    """d = d̄, d = -d̄, d orthogonal, axes of zero length, enormous or of rank one; |t'| <= |t| <= 1; never NaN."""
+    values = cones(5, 4000, along=500, sizes=(-12, 3), flat=7)
     call = "vec4(cone_tangent(d, mean, q0, q1, seen), 0.0)"
     out = probe(context, ["view_cone.glsl"], call, values, blocks={"Frame": IN_FULL})[:, :3]
     assert np.isfinite(out).all() and (out[values["seen"] == 0] == 0).all()
@@ -193,25 +198,10 @@ def test_the_cone_holds_for_every_direction(context, within):
 
 def test_a_million_directions_through_the_cone_stay_within_A_of_the_base(context, within):
     """|colour - base| <= A |t'| from direction to residual, with cones of every shape; d along d̄ or against it: 0."""
-    rng = np.random.default_rng(7)
-    count = 1_000_000
-    net = network(3.0, 3.0)
+    count, net = 1_000_000, network(3.0, 3.0)
     generated = {"network_constants.glsl": network_constants(net, A)}
-    d, mean = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, count, 3)))
-    mean[:1000], mean[1000:2000] = d[:1000], -d[1000:2000]
-    axes = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-3, 2, (count, 1))
-    axes[::9] = 0
-    q = axes[:, [0, 0, 0, 1, 1, 2]] * axes[:, [0, 1, 2, 1, 2, 2]]
-    features = rng.integers(0, 256, (count, 4)) / 255
-    values = {
-        "features": features,
-        "d": d,
-        "mean": mean,
-        "q0": q[:, :3],
-        "q1": q[:, 3:],
-        "seen": rng.uniform(size=count),
-    }
-    values = {name: value.astype(np.float32) for name, value in values.items()}
+    values = cones(7, count, along=1000, sizes=(-3, 2), flat=9)
+    values["features"] = (np.random.default_rng(7).integers(0, 256, (count, 4)) / 255).astype(np.float32)
     tangent = "cone_tangent(d, mean, q0, q1, seen)"
     call = RESIDUAL.replace("tangent", tangent).replace("0.0)", f"length({tangent}))")
     out = probe(context, ["view_cone.glsl", "view_network.glsl"], call, values, generated, {"Frame": IN_FULL})

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from charted_ball import charted_ball
+from charted_ball import charted_ball, line
 from filmed_part import FoundVideos
 from scipy.sparse import csr_matrix, identity
 
@@ -16,7 +16,7 @@ from avatar.texture import bytes_of, mipmaps
 from bake.level import BakedLevel
 from bake.texture.pixel_reads import atlas_mesh
 from bake.texture.seams import edge_reads, solve_seams
-from bake.texture.texels import TexelMap, neighbour_pairs, spread
+from bake.texture.texels import neighbour_pairs, spread
 from bake.texture.texture_solve import Equations, Prior, solve_change
 from bake.texture.video_texture import solve_texture
 from capture.folder import PartVideo
@@ -24,10 +24,6 @@ from experiments.texture import level_of_file
 from player.scene.mannequin import mannequin
 
 STAY, MIX = 0.06, 0.24
-
-
-def line(count: int) -> TexelMap:
-    return TexelMap(np.arange(count), np.zeros(count, int), np.ones(count, bool), count)
 
 
 def solved(matrix: csr_matrix, wanted: np.ndarray, *, smooth: float = 0.0, rounds: int = 40) -> np.ndarray:

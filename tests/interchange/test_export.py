@@ -28,7 +28,6 @@ from player.draw.drawing import Pose
 from player.export_command import export_main
 from player.scene.framing import pelvis_height
 from player.scene.mannequin import mannequin
-from player.scene.renderer import Renderer
 
 
 def wild_clip(frames=40, seed=3) -> Clip:
@@ -291,19 +290,22 @@ def compared(ours, theirs):
     return decibels(ours, theirs, box), decibels(ours, theirs, ndimage.binary_erosion(both, iterations=2))
 
 
-@pytest.mark.slow
-def test_three_js_draws_the_same_frame_as_paper_mode(context, tmp_path, pose):
-    folder = package_folder("three")
+def drawn_by_both(render, avatar, poses, middle, distance, folder):
+    """Each pose as we draw it in paper mode, and as three.js does."""
+    modules = package_folder("three")
     chromium()
-    avatar = painted()
-    write_avatar(tmp_path / "mannequin.glb", avatar)
-    camera = orbit_camera(np.array([0.0, -0.1, 0.0]), 2.6, 0.3, 0.1, (480, 480), np.radians(45))
+    write_avatar(folder / "avatar.glb", avatar)
+    camera = orbit_camera(middle, distance, 0.3, 0.1, (480, 480), np.radians(45))
+    (folder / "browser").mkdir()
+    theirs = three_frames(folder / "avatar.glb", poses, camera, modules, folder / "browser")
+    renderer = render(avatar, camera.size, view="off", background=BLACK)
+    return [renderer.draw([pose], camera)[..., :3] for pose in poses], theirs
+
+
+@pytest.mark.slow
+def test_three_js_draws_the_same_frame_as_paper_mode(render, tmp_path, pose):
     poses = [(np.zeros((52, 3)), np.zeros(3)), pose]
-    (tmp_path / "browser").mkdir()
-    theirs = three_frames(tmp_path / "mannequin.glb", poses, camera, folder, tmp_path / "browser")
-    renderer = Renderer(context, [avatar], camera.size, view="off", background=BLACK)
-    ours = [renderer.draw([pose], camera)[..., :3] for pose in poses]
-    renderer.release()
+    ours, theirs = drawn_by_both(render, painted(), poses, np.array([0.0, -0.1, 0.0]), 2.6, tmp_path)
     for mine, other in zip(ours, theirs, strict=True):
         box, inside = compared(mine, other)
         assert box >= 35 and inside >= 39
@@ -311,19 +313,11 @@ def test_three_js_draws_the_same_frame_as_paper_mode(context, tmp_path, pose):
 
 
 @pytest.mark.slow
-def test_three_js_moves_a_face_as_we_do(context, tmp_path):
-    folder = package_folder("three")
-    chromium()
+def test_three_js_moves_a_face_as_we_do(render, tmp_path):
     avatar = replace(faced(), levels=(replace(faced().levels[0], base_color=painted().levels[0].base_color),))
-    write_avatar(tmp_path / "face.glb", avatar)
-    camera = orbit_camera(avatar.eyes[0].center * [0, 1, 1], 0.7, 0.3, 0.1, (480, 480), np.radians(45))
     faces = (None, doing((0.4, -0.2), jawOpen=0.7))
     poses = [Pose(np.zeros((52, 3)), np.zeros(3), face) for face in faces]
-    (tmp_path / "browser").mkdir()
-    theirs = three_frames(tmp_path / "face.glb", poses, camera, folder, tmp_path / "browser")
-    renderer = Renderer(context, [avatar], camera.size, view="off", background=BLACK)
-    ours = [renderer.draw([pose], camera)[..., :3] for pose in poses]
-    renderer.release()
+    ours, theirs = drawn_by_both(render, avatar, poses, avatar.eyes[0].center * [0, 1, 1], 0.7, tmp_path)
     everywhere = np.ones((480, 480), bool)
     assert all(decibels(mine, other, everywhere) >= 35 for mine, other in zip(ours, theirs, strict=True))
     assert decibels(ours[1], theirs[0], everywhere) < 30

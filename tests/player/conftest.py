@@ -63,3 +63,9 @@ def open_window(osmesa, avatar_path, tmp_path, monkeypatch):
         assert len(windows) > 1 or window.screen.context.gl.error == "GL_NO_ERROR"
         window.close()
         assert window.screen.context.released
+
+
+@pytest.fixture
+def window(open_window):
+    """One with panels, paused at its first frame."""
+    return open_window(script="space home wait")

@@ -203,10 +203,11 @@ def test_the_files_that_hints_are_made_of_are_read(tmp_path):
     assert vendor_file(tmp_path / "v.json")["wrong"]
 
 
-def test_doctor_names_missing_packages(monkeypatch, capsys):
-    def missing(*names):
-        raise OSError(f"{names[0]}: cannot open shared object file")
+def missing(*_names):
+    raise OSError("not installed")
 
+
+def test_doctor_names_missing_packages(monkeypatch, capsys):
     monkeypatch.setattr(doctor, "_library", missing)
     monkeypatch.setattr(contexts, "_library", missing)
     assert doctor_main([]) == 1
@@ -224,24 +225,17 @@ def test_a_context_opens_without_a_display_an_unknown_kind_is_refused_and_all_tr
     context.release()
     with pytest.raises(ValueError, match="'vulkan'"):
         open_context("vulkan")
-
-    def missing(*_names):
-        raise OSError("not installed")
-
     monkeypatch.setattr(contexts, "_library", missing)
     with pytest.raises(NoContextError, match=r"EGL: not installed; OSMesa: not installed.*doctor"):
         open_context()
 
 
 def test_osmesa_takes_over_where_egl_is_missing_and_the_log_says_why(osmesa, monkeypatch, caplog):
-    def missing():
-        raise OSError("libEGL.so.1: cannot open shared object file")
-
     monkeypatch.setattr(contexts, "Egl", missing)
     with caplog.at_level("INFO", logger="selfscan.context"):
         context = open_context()
     assert context.kind == "osmesa"
-    assert "libEGL.so.1" in caplog.text and "OSMesa: llvmpipe" in caplog.text
+    assert "not installed" in caplog.text and "OSMesa: llvmpipe" in caplog.text
     context.release()
 
 

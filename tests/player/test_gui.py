@@ -29,20 +29,9 @@ from player.window.looks import BOARDS, LOOKS, SPOTLIGHT
 from player.window.panels.draw import DrawLists
 from player.window.panels.effects_panel import IN_FILMS
 from player.window.panels.widgets import Widgets
-from tests.window_script import run
+from tests.window_script import picture, run
 
 SIZE = (900, 640)
-
-
-@pytest.fixture
-def window(open_window):
-    """A window with panels, paused at its first frame."""
-    return open_window(script="space home wait")
-
-
-def picture(window, image):
-    left, top, width, height = window.parts.state.layout.area
-    return image[top : top + height, left : left + width]
 
 
 def choose(window, name, number):
@@ -284,17 +273,13 @@ def test_colours_clips_and_places_are_exact(context, imgui_context):
 
 def test_letters_are_added_to_the_texture_when_they_are_first_shown(context, imgui_context):
     lists = DrawLists(context)
-    text = ["abc"]
-    plain = drawn_lists(context, imgui_context, lists, 1, lambda: imgui.get_background_draw_list().add_text(
-        imgui.ImVec2(10, 10), imgui.IM_COL32(255, 255, 255, 255), text[0]))  # fmt: skip
-    uploaded = context.counts.uploaded
-    text[0] = "WXYZ"
-    other = drawn_lists(context, imgui_context, lists, 1, lambda: imgui.get_background_draw_list().add_text(
-        imgui.ImVec2(10, 10), imgui.IM_COL32(255, 255, 255, 255), text[0]))  # fmt: skip
-    assert context.counts.uploaded > uploaded
-    for image in (plain, other):
-        assert ((image[..., 0] > 200).sum() > 10) and (image[40:] == image[0, 0]).all()
-    assert not np.array_equal(plain, other)
+    images, uploaded = [], []
+    for text in ("abc", "WXYZ"):
+        images.append(drawn_lists(context, imgui_context, lists, 1, lambda: imgui.get_background_draw_list().add_text(
+            imgui.ImVec2(10, 10), imgui.IM_COL32(255, 255, 255, 255), text)))  # fmt: skip
+        uploaded.append(context.counts.uploaded)
+        assert ((images[-1][..., 0] > 200).sum() > 10) and (images[-1][40:] == images[-1][0, 0]).all()
+    assert uploaded[1] > uploaded[0] and not np.array_equal(*images)
     assert len(lists.textures) == 1
     lists.release()
     assert lists.textures == {}

@@ -33,19 +33,14 @@ def start_pose(seed, scale=0.5):
     return pose, rng.normal(size=3), BODIES[seed % 2], rng
 
 
-def reach_distance(joints, limb):
-    """Shortest and longest distance from first to end joint, metres."""
-    first, middle, last, _ = LIMBS[limb]
-    a, b = np.linalg.norm(joints[middle] - joints[first]), np.linalg.norm(joints[last] - joints[middle])
-    return abs(a - b), a + b
-
-
 def aimed(seed, limb):
     """A pose, where the limb begins, how near and far it reaches, and a direction."""
     pose, root, joints, rng = start_pose(seed)
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
-    return pose, root, joints, places(pose, root, joints)[LIMBS[limb].first], reach_distance(joints, limb), direction
+    first, middle, last, _ = LIMBS[limb]
+    a, b = np.linalg.norm(joints[middle] - joints[first]), np.linalg.norm(joints[last] - joints[middle])
+    return pose, root, joints, places(pose, root, joints)[first], (abs(a - b), a + b), direction
 
 
 def places(pose, root, joints):
@@ -127,8 +122,7 @@ def test_a_straight_limb_bends_as_anatomy_does(limb, joints):
 
 
 def test_at_its_limits_a_limb_stays_finite_and_bad_questions_are_refused():
-    joints = BODIES[0]
-    root = np.zeros(3)
+    joints, root = BODIES[0], np.zeros(3)
     for seed in range(5):
         pose, _, _, _ = start_pose(seed)
         for limb, chain in LIMBS.items():
@@ -140,7 +134,7 @@ def test_at_its_limits_a_limb_stays_finite_and_bad_questions_are_refused():
                 assert np.linalg.norm(moved[chain.first] - first) < 1e-12
                 again = reach_for(out, root, joints, limb, target)
                 np.testing.assert_allclose(places(again, root, joints), moved, atol=1e-5)
-    joints, root, pose = BODIES[0], np.zeros(3), np.zeros((52, 3))
+    pose = np.zeros((52, 3))
     with pytest.raises(ValueError, match="finite"):
         reach_for(pose, root, joints, "left_hand", np.array([np.nan, 0, 0]))
     short = joints.copy()
@@ -202,10 +196,6 @@ def joints(avatar):
     return avatar.joint_positions.astype(float)
 
 
-def held_on(clip: Clip, joints, lock: FootLock = LOCK) -> HeldFeet:
-    return HeldFeet(clip, joints, lock)
-
-
 def held_poses(feet: HeldFeet, clip: Clip):
     return [feet.pose(frame, 0, clip) for frame in range(len(clip.root))]
 
@@ -220,7 +210,7 @@ def transforms(poses, joints):
 
 
 def test_toes_slide_no_further_than_2_mm_while_they_are_held_and_knees_bend_within_limits(joints, sliding):
-    feet, raw = held_on(sliding, joints), poses_of(sliding)
+    feet, raw = HeldFeet(sliding, joints, LOCK), poses_of(sliding)
     held = held_poses(feet, sliding)
     before, after = transforms(raw, joints)[..., :3, 3], transforms(held, joints)
     slid = {"before": [], "after": []}
@@ -247,7 +237,7 @@ def test_toes_slide_no_further_than_2_mm_while_they_are_held_and_knees_bend_with
 
 def test_nothing_jumps_when_a_foot_is_taken_and_let_go(joints, sliding):
     """Steps between frames grow by little: the release takes time, also of the pelvis."""
-    feet, raw = held_on(sliding, joints), poses_of(sliding)
+    feet, raw = HeldFeet(sliding, joints, LOCK), poses_of(sliding)
     held = held_poses(feet, sliding)
     before, after = (np.diff(transforms(some, joints)[..., :3, 3], 2, axis=0) for some in (raw, held))
     # acceleration, metres a frame and frame, of pelvis, knees, ankles and toes
@@ -258,7 +248,7 @@ def test_nothing_jumps_when_a_foot_is_taken_and_let_go(joints, sliding):
 
 def test_a_rig_of_a_hundredth_is_held_as_the_whole_one(joints, sliding):
     small = replace(sliding, root=0.01 * sliding.root)
-    whole, tiny = held_on(sliding, joints), held_on(small, 0.01 * joints)
+    whole, tiny = HeldFeet(sliding, joints, LOCK), HeldFeet(small, 0.01 * joints, LOCK)
     assert [len(steps.start) for steps in whole.steps] == [len(steps.start) for steps in tiny.steps]
     for frame in range(0, len(sliding.root), 7):
         a = whole.pose(frame, 0, sliding)
@@ -276,7 +266,7 @@ def test_the_pelvis_gives_way_where_a_leg_is_too_short(joints):
     root = np.tile([0.0, height, 0.0], (60, 1))
     root[:, 0] = np.linspace(0, 0.28, 60)
     clip = Clip(np.zeros((60, 52, 3)), root, 30.0)
-    feet = held_on(clip, joints)
+    feet = HeldFeet(clip, joints, LOCK)
     held = held_poses(feet, clip)
     dropped = root[:, 1] - np.stack([pose.root for pose in held])[:, 1]
     assert 0.002 < dropped.max() < 0.15 and dropped.min() >= 0
@@ -298,7 +288,7 @@ def test_hysteresis_keeps_a_toe_that_trembles_about_the_threshold():
 
 def test_where_no_foot_is_held_and_in_a_single_frame_it_is_the_very_pose(joints, sliding):
     up = replace(sliding, root=sliding.root + np.linspace(0, 30, len(sliding.root))[:, None] * [0, 1, 0])
-    feet = held_on(up, joints, replace(LOCK, release=0.05))
+    feet = HeldFeet(up, joints, replace(LOCK, release=0.05))
     (axis_angle, root, _), last = feet.pose(len(up.root) - 1, 0, up), len(up.root) - 1
     assert np.shares_memory(axis_angle, up.axis_angle[last]) and np.shares_memory(root, up.root[last])
     steps = Steps(*np.zeros((2, 0)), *np.zeros((3, 0, 3)))
@@ -307,7 +297,7 @@ def test_where_no_foot_is_held_and_in_a_single_frame_it_is_the_very_pose(joints,
     track = Track(clip, joints=joints, foot_lock=LOCK)
     assert np.array_equal(track.pose(0.0)[1], clip.root[0])
     flying = Clip(np.zeros((50, 52, 3)), np.cumsum(np.full((50, 3), 0.2), 0), 30.0)
-    feet = held_on(flying, joints)
+    feet = HeldFeet(flying, joints, LOCK)
     assert not feet.held(0, flying.axis_angle, flying.root).changed.any()
 
 
@@ -331,7 +321,7 @@ def test_off_is_bit_identical_and_shares_of_a_film_are_the_film():
 
 
 def test_neighbours_are_solved_at_once_as_each_alone(joints, sliding, monkeypatch):
-    feet, calls = held_on(sliding, joints), []
+    feet, calls = HeldFeet(sliding, joints, LOCK), []
     frames = len(sliding.root)
     alone = [feet.held(k, sliding.axis_angle[k : k + 1], sliding.root[k : k + 1]) for k in range(frames)]
     monkeypatch.setattr("player.effects.held_feet.reach_for", lambda *given: calls.append(1) or reach_for(*given))

@@ -29,11 +29,6 @@ from tests.window_script import run
 SKY = str(DOCS / "scenes" / "sky.hdr")
 
 
-@pytest.fixture
-def window(open_window):
-    return open_window(script="space home wait")
-
-
 def picture(window, script="wait"):
     """The picture without what is written in its corner."""
     image = run(window, f"{script} move:600:300 wait")

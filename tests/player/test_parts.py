@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pictures import pictures_in, pixels
 from PIL import Image
+from refusals import refused
 
 import player.film.parts
 import player.film.render
@@ -171,8 +172,7 @@ def test_a_file_that_changed_is_another_film_and_a_folder_not_ours_is_left_alone
     before = fingerprint(tmp_path / "a"), fingerprint(tmp_path)
     (tmp_path / "a").write_bytes(b"2")
     assert before[0] != fingerprint(tmp_path / "a") and before[1] != fingerprint(tmp_path)
-    with pytest.raises(AssetError, match="cannot be read"):
-        fingerprint(tmp_path / "none.glb")
+    refused(AssetError, "cannot be read", fingerprint, tmp_path / "none.glb")
     parts = Parts(tmp_path / "film.mp4", 0, 50, {})
     parts.folder.mkdir()
     (parts.folder / "thesis.txt").write_text("years of work")
@@ -180,19 +180,16 @@ def test_a_file_that_changed_is_another_film_and_a_folder_not_ours_is_left_alone
         if content is not None:
             (parts.folder / "film.json").write_text(content)
         for resume in (True, False):
-            with pytest.raises(AssetError, match="move it away"):
-                parts.begin(resume=resume)
+            refused(AssetError, "move it away", parts.begin, resume=resume)
     assert (parts.folder / "thesis.txt").exists()
 
 
 def test_a_part_that_lost_frames_is_noticed(arguments, tmp_path, films):
     with pytest.raises(AssetError, match="expected 51 frames, found 50"):
         join_pieces([(films / "film.mp4", 51)], tmp_path / "a.mp4", 30.0)
-    with pytest.raises(AssetError, match="expected 51 frames, found 50"):
-        join_pieces([(films / "frames", 51)], tmp_path / "a", 30.0)
+    refused(AssetError, "expected 51 frames, found 50", join_pieces, [(films / "frames", 51)], tmp_path / "a", 30.0)
     (tmp_path / "no.mp4").write_bytes(b"\0" * 100)
-    with pytest.raises(AssetError, match=r"no\.mp4: expected a part"):
-        join_pieces([(tmp_path / "no.mp4", 1)], tmp_path / "a.mp4", 30.0)
+    refused(AssetError, r"no\.mp4: expected a part", join_pieces, [(tmp_path / "no.mp4", 1)], tmp_path / "a.mp4", 30.0)
 
 
 @pytest.mark.parametrize(("start", "stop"), [(0, 1), (0, 20), (0, 21), (5, 55), (20, 40), (19, 21), (39, 120), (7, 8)])

@@ -58,14 +58,23 @@ def test_another_panorama_of_the_same_size_is_another_texture(render, avatar, po
     assert renderer.draw([pose], AWAY).mean() < day.mean() - 20
 
 
-def test_a_background_that_cannot_be_read_changes_nothing(context, render, avatar, pose, backgrounds, tmp_path):
+def test_a_background_that_cannot_be_read_and_a_view_that_the_avatar_lacks_change_nothing(
+    context, render, avatar, pose, backgrounds, tmp_path
+):
     (tmp_path / "broken.hdr").write_bytes(b"no panorama")
-    renderer = render(avatar, SIZE, effects=Effects("off"), background=backgrounds["image"])
-    before = renderer.draw([pose], CAMERA)
-    with pytest.raises(AssetError, match=r"broken\.hdr"):
-        renderer.change(background=Background("hdr", path=str(tmp_path / "broken.hdr")))
-    plan_is_what_lives(context, renderer)
-    assert np.array_equal(renderer.draw([pose], CAMERA), before)
+    broken = {"background": Background("hdr", path=str(tmp_path / "broken.hdr"))}
+    lacking = {"effects": Effects("linear", antialiasing="none"), "background": backgrounds["hdr"]}
+    for who, effects, change, error, said in (
+        (avatar, Effects("off"), broken, AssetError, r"broken\.hdr"),
+        (replace(avatar, linear=None), EVERYTHING, lacking, ValueError, "view linear is not in avatar"),
+    ):
+        renderer = render(who, SIZE, effects=effects, background=backgrounds["image"])
+        before = renderer.draw([pose], CAMERA)
+        with pytest.raises(error, match=said):
+            renderer.change(**change)
+        plan_is_what_lives(context, renderer)
+        assert np.array_equal(renderer.draw([pose], CAMERA), before)
+        renderer.release()
 
 
 def test_a_film_stays_open_while_asked_for_and_is_uploaded_when_its_frame_changes(
@@ -100,15 +109,6 @@ def test_another_size_compiles_nothing_and_is_as_if_made_so(context, render, ava
     image = renderer.draw([pose], CAMERA)
     fresh = render(avatar, (130, 111), effects=wish, background=backgrounds["hdr"])
     assert np.array_equal(image, fresh.draw([pose], CAMERA))
-
-
-def test_a_view_that_the_avatar_lacks_changes_nothing(context, render, avatar, pose, backgrounds):
-    renderer = render(replace(avatar, linear=None), SIZE, effects=EVERYTHING, background=backgrounds["image"])
-    full = renderer.draw([pose], CAMERA)
-    with pytest.raises(ValueError, match="view linear is not in avatar"):
-        renderer.change(effects=Effects("linear", antialiasing="none"), background=backgrounds["hdr"])
-    plan_is_what_lives(context, renderer)
-    assert np.array_equal(renderer.draw([pose], CAMERA), full)
 
 
 def test_the_level_of_detail_changes_in_place(render, pose, context, avatar):

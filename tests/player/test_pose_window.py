@@ -21,7 +21,7 @@ from player.pose.mirror import mirrored_in_place
 from player.scene.framing import pelvis_height
 from player.scene.motions import motion_for
 from player.window.pose_tool import HANDLES
-from tests.window_script import run
+from tests.window_script import picture, run
 
 J = {name: k for k, name in enumerate(JOINTS)}
 SIZE = (900, 640)
@@ -73,11 +73,6 @@ def press(window, *names):
         window.run([f"press:{name}", "wait"], keep=True)
 
 
-def figure(window, image):
-    left, top, width, height = window.parts.state.layout.area
-    return image[top : top + height, left : left + width]
-
-
 def test_a_joint_is_picked_and_its_ring_turns_it_as_far_as_the_pointer_goes(opened):
     window, edit, session = opened()
     before, plain = session.pose, run(window, "wait")
@@ -105,8 +100,8 @@ def test_a_joint_is_picked_and_its_ring_turns_it_as_far_as_the_pointer_goes(open
     assert [label for label, _ in session.history.past] == ["left_elbow"] and edit.tool.held is None
     # what is drawn is what is posed; undo brings the first picture back
     assert not np.array_equal(run(window, "move:5:5 wait"), rings)
-    back = figure(window, run(window, f"{CTRL_Z} wait wait"))
-    assert np.array_equal(back[60:], figure(window, rings)[60:])
+    back = picture(window, run(window, f"{CTRL_Z} wait wait"))
+    assert np.array_equal(back[60:], picture(window, rings)[60:])
     assert session.pose.same(before) and not session.history.dirty
     run(window, CTRL_Y)
     assert not session.pose.same(before)
@@ -271,12 +266,8 @@ def test_without_panels_the_keys_pose_one_of_two(opened, avatar_path):
     assert np.array_equal(session.pose.axis_angle, pose)
     window.parts.state.selection.choose(0, J["right_wrist"])
     run(window, "down:ctrl c up:ctrl down:ctrl down:shift v up:shift up:ctrl")
-    arm = [J[f"left_{p}"] for p in ("collar", "shoulder", "elbow", "wrist")]
-    np.testing.assert_allclose(
-        session.pose.axis_angle[arm],
-        pose[[J[f"right_{p}"] for p in ("collar", "shoulder", "elbow", "wrist")]] * [1, -1, -1],
-        atol=1e-9,
-    )
+    left, right = ([J[f"{side}_{p}"] for p in ("collar", "shoulder", "elbow", "wrist")] for side in ("left", "right"))
+    np.testing.assert_allclose(session.pose.axis_angle[left], pose[right] * [1, -1, -1], atol=1e-9)
     session.move(session.pose, session.pose.root + [0, 1.0, 0])
     run(window, "n")
     assert session.pose.root[1] < 1.2

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pictures import pictures_in, pixels
+from refusals import refused
 from tiny_avatar import tiny_avatar
 
 from avatar.camera import orbit_camera, project, write_camera, write_cameras
@@ -122,8 +123,7 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
 def test_a_mistake_is_answered_by_line_and_key(scene_file, right, wrong, line, complaint):
     assert FULL.count(right) == 1
     path = scene_file(FULL.replace(right, wrong))
-    with pytest.raises(AssetError, match=rf"scene\.toml:{line}: {complaint}"):
-        read_scene(path)
+    refused(AssetError, rf"scene\.toml:{line}: {complaint}", read_scene, path)
 
 
 def test_tables_of_the_wrong_kind_are_refused_and_a_bare_scene_has_defaults(scene_file):
@@ -131,10 +131,8 @@ def test_tables_of_the_wrong_kind_are_refused_and_a_bare_scene_has_defaults(scen
         read_scene(scene_file('[camera]\n[[avatar]]\npath = "mannequin"'))
     with pytest.raises(AssetError, match=r"toml:1: effects: expected a table, \[effects\], found the number 3"):
         read_scene(scene_file('effects = 3\n[[avatar]]\npath = "mannequin"'))
-    with pytest.raises(AssetError, match=r"expected at least one \[\[avatar\]\], found none"):
-        read_scene(scene_file("\n"))
-    with pytest.raises(AssetError, match=r"absent\.toml: no such file; expected a scene"):
-        read_scene(Path("absent.toml"))
+    refused(AssetError, r"expected at least one \[\[avatar\]\], found none", lambda: read_scene(scene_file("\n")))
+    refused(AssetError, r"absent\.toml: no such file; expected a scene", read_scene, Path("absent.toml"))
     scene = read_scene(scene_file('[[avatar]]\npath = "mannequin"\n'))
     assert scene == Scene((SceneAvatar("mannequin"),))
     assert scene.cameras == (SceneCamera("front"),) and scene.background == STUDIO and scene.effects == Effects()
@@ -254,8 +252,7 @@ def test_a_capture_is_a_camera_by_its_folder_and_part(tmp_path):
     for part, name in (("", None), (":head", "head")):
         found = camera_from_option(f"{tmp_path}{part}")
         assert (found.kind, found.name) == ("capture", name)
-    with pytest.raises(AssetError, match=r"none\.json"):
-        camera_from_option("none.json")
+    refused(AssetError, r"none\.json", camera_from_option, "none.json")
 
 
 @pytest.mark.parametrize("kind", ["front", "follow", "orbit", "turntable"])
@@ -351,8 +348,7 @@ def test_an_order_names_all_its_files_and_changes_with_each(tiny_path, tmp_path)
     ],
 )
 def test_scenes_that_make_no_film_are_refused(scene, message):
-    with pytest.raises(AssetError, match=message):
-        Stage(scene)
+    refused(AssetError, message, Stage, scene)
 
 
 def test_what_was_assumed_about_several_motions_says_of_which_avatar(tiny_path, tmp_path):

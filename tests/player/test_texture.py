@@ -9,6 +9,7 @@ from pathlib import Path
 import moderngl
 import numpy as np
 import pytest
+from refusals import refused
 from tiny_avatar import tiny_avatar, tiny_level
 
 from avatar.camera import Camera, look_at
@@ -136,12 +137,10 @@ def test_an_error_in_an_include_names_its_file_and_line(fresh):
         "b.glsl": "// fine\nfloat half_of(float x) {\n    return y / 2.0;\n}\n",
         "a.frag": FRAGMENT,
     }
-    with pytest.raises(ShaderError, match=r"shaders/b\.glsl:3"):
-        compile_program(fresh.gl, "a.vert", "a.frag", {}, generated)
+    refused(ShaderError, r"shaders/b\.glsl:3", compile_program, fresh.gl, "a.vert", "a.frag", {}, generated)
     generated["b.glsl"] = "// fine\n"
     generated["a.vert"] = generated["a.vert"].replace("vec4(0.0)", "vec4(oops)")
-    with pytest.raises(ShaderError, match=r"shaders/a\.vert:4"):
-        compile_program(fresh.gl, "a.vert", "a.frag", {}, generated)
+    refused(ShaderError, r"shaders/a\.vert:4", compile_program, fresh.gl, "a.vert", "a.frag", {}, generated)
 
 
 def test_defines_are_those_tested_and_blocks_have_their_size(fresh):
@@ -154,8 +153,7 @@ def test_defines_are_those_tested_and_blocks_have_their_size(fresh):
         "a.frag": FRAGMENT,
     }
     program = compile_program(fresh.gl, "a.vert", "a.frag", {}, generated)
-    with pytest.raises(RuntimeError, match="16 bytes in GLSL, 80 in"):
-        bind_block(program, "Frame")
+    refused(RuntimeError, "16 bytes in GLSL, 80 in", bind_block, program, "Frame")
     program.release()
 
 
@@ -166,8 +164,7 @@ def test_an_include_is_taken_once_and_only_where_it_is_compiled():
     }
     source, order = assembled("top.vert", {"MODE": 0}, generated)
     assert source.count("float once;") == 1 and order == ["top.vert", "x.glsl"]
-    with pytest.raises(ShaderError, match=r"none\.glsl: no such shader"):
-        assembled("top.vert", {"MODE": 1}, generated)
+    refused(ShaderError, r"none\.glsl: no such shader", assembled, "top.vert", {"MODE": 1}, generated)
     assert names_in_conditions(source) == {"MODE"}
 
 

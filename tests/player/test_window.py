@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pictures import pixels
+from refusals import refused
 
 from avatar.gltf.avatar_file import write_avatar
 from command.errors import AssetError
@@ -129,8 +130,7 @@ def test_ctrl_c_closes_the_window_once_the_frame_is_drawn(avatar_path, tmp_path,
 def test_a_window_that_cannot_be_made_says_so_and_the_next_one_opens(avatar, avatar_path, tmp_path):
     plain = tmp_path / "plain.glb"
     write_avatar(plain, replace(avatar, linear=None))
-    with pytest.raises(AssetError, match="linear"):
-        play_main([str(plain), "--platform", "null", "--view", "linear", "--script", "wait"])
+    refused(AssetError, "linear", play_main, [str(plain), "--platform", "null", "--view", "linear", "--script", "wait"])
     assert screenshot(avatar_path, tmp_path / "a.png", "wait").shape == (200, 160, 3)
 
 
@@ -142,13 +142,11 @@ def test_the_list_of_keys_is_shown_in_windows_of_every_size(avatar_path, tmp_pat
 
 
 def test_a_script_has_known_words_and_the_docs_name_all(avatar_path):
-    with pytest.raises(AssetError, match="'fly' is no key"):
-        play_main([avatar_path, "--platform", "null", "--script", "space fly"])
+    refused(AssetError, "'fly' is no key", play_main, [avatar_path, "--platform", "null", "--script", "space fly"])
     words = ["turn:1:-2", "near:-1", "size:3:4", "wait", "q", "click:3:4", "drag:1:2:3:4", "scrub:1.5", "type:a_b"]
     assert len(steps(words)) == 5 + 3 + 7 + 1 + 3
     for wrong in ("turn:x:1", "click:1", "scrub:", "drag:1:2:3", "type:", "down:fly", "press:"):
-        with pytest.raises(ValueError, match="is no key"):
-            steps([wrong])
+        refused(ValueError, "is no key", steps, [wrong])
     words = (Path(__file__).parents[2] / "docs" / "play.md").read_text("utf-8").split("## Scripts")[1]
     for word in (*GESTURES, "wait", "pose", "press", "type", "down", "up"):
         assert re.search(rf"`(?:[^`]*, )?{word}[:`]", words), word
@@ -157,8 +155,7 @@ def test_a_script_has_known_words_and_the_docs_name_all(avatar_path):
 def test_without_a_display_or_imgui_bundle_one_line_says_what_to_do(avatar_path, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(AssetError, match=r"no window: .*selfscan render"):
-        play_main([avatar_path])
+    refused(AssetError, r"no window: .*selfscan render", play_main, [avatar_path])
     code = (
         "import sys; sys.modules['imgui_bundle'] = None\n"
         "from selfscan.__main__ import main\nsys.exit(main(sys.argv[1:]))"

@@ -8,6 +8,7 @@ import glfw
 import numpy as np
 import pytest
 from PIL import Image
+from refusals import refused
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, pixel_rays, project, write_cameras
 from avatar.gltf.avatar_file import write_avatar
@@ -163,12 +164,9 @@ def test_the_head_stands_before_the_t_pose_and_no_picture_is_named_when_shown(av
     (copy / "body/images/000000.png").write_bytes(b"nothing")
     Image.new("RGB", (5, 5)).save(copy / "body/images/000001.png")
     view = open_capture(copy)
-    with pytest.raises(AssetError, match=r"000000.png: expected a picture"):
-        view.image(0)
-    with pytest.raises(AssetError, match="should be 96x128 as its camera, is 5x5"):
-        view.image(1)
-    with pytest.raises(ValueError, match="part should be one of"):
-        open_capture(copy, "foot")
+    refused(AssetError, r"000000.png: expected a picture", view.image, 0)
+    refused(AssetError, "should be 96x128 as its camera, is 5x5", view.image, 1)
+    refused(ValueError, "part should be one of", open_capture, copy, "foot")
 
 
 @pytest.fixture
@@ -194,8 +192,7 @@ def poses(poses):
 )
 def test_captures_that_do_not_agree_are_refused(copy, spoil, message):
     spoil(copy)
-    with pytest.raises(AssetError, match=message):
-        open_capture(copy)
+    refused(AssetError, message, open_capture, copy)
 
 
 def test_lens_distortion_is_undone_as_the_camera_says(context):

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from sphere_field import assert_same_bits
 
 from command.errors import AssetError
 from command.settings import SettingsSource, record_of, settings_json
@@ -91,8 +92,7 @@ def assert_equal_runs(run: Path, other: Path) -> None:
     for name in HANDS:
         one, two = (torch.load(folder / f"{name}.pt", weights_only=True)["state"] for folder in (run, other))
         assert one.keys() == two.keys()
-        for key in one:
-            assert torch.equal(one[key], two[key]), (name, key)
+        assert_same_bits(one, two)
         logs = [rows(folder / f"logs/{name}.csv") for folder in (run, other)]
         assert [row["step"] for row in logs[1]] == [str(step) for step in range(10, 241, 10)]
         for first, second in zip(*logs, strict=True):
@@ -121,29 +121,24 @@ def test_a_training_stopped_by_a_signal_and_resumed_equals_one_never_stopped(
 
 
 @pytest.mark.slow
-def test_a_training_whose_parent_was_killed_saves_itself_and_goes_on(tiny_capture, never_stopped, tmp_path):
-    out = tmp_path / "run"
-    process = start_training(tiny_capture, out, "--save-every", "3600")
+@pytest.mark.parametrize(("every", "power_loss"), [("3600", False), ("0.2", True)], ids=["parent", "power loss"])
+def test_a_killed_training_saves_itself_or_has_saved_and_goes_on(
+    tiny_capture, never_stopped, tmp_path, every, power_loss
+):
+    """Its parent alone, or all processes at once; rows logged after a periodic checkpoint are not doubled."""
+    out, saving = tmp_path / "run", ("--save-every", every)
+    process = start_training(tiny_capture, out, *saving)
     until_learning(process, out)
-    kill(process, process.kill)
-    checkpoints = [tmp_path / f"run.partial/{name}.ckpt" for name in HANDS]
-    until(lambda: all(path.exists() for path in checkpoints))
-    finish(start_training(tiny_capture, out, "--resume"), 0)
-    assert_equal_runs(never_stopped, out)
-
-
-@pytest.mark.slow
-def test_after_a_power_loss_a_periodic_checkpoint_goes_on(tiny_capture, never_stopped, tmp_path):
-    """All processes killed at once; rows logged after the checkpoint are not doubled."""
-    out = tmp_path / "run"
-    process = start_training(tiny_capture, out, "--save-every", "0.2")
-    until_learning(process, out)
-    checkpoints = [tmp_path / f"run.partial/{name}.ckpt" for name in HANDS]
-    until(lambda: all(path.exists() for path in checkpoints), process)
-    kill(process, lambda: os.killpg(process.pid, signal.SIGKILL))
-    log = tmp_path / "run.partial/logs/hand_left.csv"
-    log.write_text(log.read_text() + "230,1.0")  # a row that the power loss cut short
-    finish(start_training(tiny_capture, out, "--resume", "--save-every", "0.2"), 0)
+    saved = lambda: all((tmp_path / f"run.partial/{name}.ckpt").exists() for name in HANDS)
+    if power_loss:
+        until(saved, process)
+        kill(process, lambda: os.killpg(process.pid, signal.SIGKILL))
+        log = tmp_path / "run.partial/logs/hand_left.csv"
+        log.write_text(log.read_text() + "230,1.0")  # a row that the power loss cut short
+    else:
+        kill(process, process.kill)
+        until(saved)
+    finish(start_training(tiny_capture, out, "--resume", *saving), 0)
     assert_equal_runs(never_stopped, out)
 
 

@@ -4,6 +4,7 @@ import json
 
 import pytest
 from filmed_figure import film_anew
+from refusals import refused
 
 from capture.check.options import main
 from capture.raw.four_videos import find_videos, holds_videos
@@ -44,19 +45,16 @@ def test_films_are_told_apart_by_name_or_order_and_none_is_given_twice(tmp_path)
     with pytest.raises(AssetError, match=r"called body, head, left, right; found body.mp4, IMG_7.mov"):
         find_videos([files[0], tmp_path / "IMG_7.mov"])
     files[2].write_bytes(files[0].read_bytes())
-    with pytest.raises(AssetError, match=r"is the same film as .*body.mp4; leave it out"):
-        find_videos(files)
+    refused(AssetError, r"is the same film as .*body.mp4; leave it out", find_videos, files)
     files[0].unlink()
-    with pytest.raises(AssetError, match=r"expected body.mp4, and head.mp4, .* found .*left.mp4"):
-        find_videos([tmp_path])
+    refused(AssetError, r"expected body.mp4, and head.mp4, .* found .*left.mp4", find_videos, [tmp_path])
 
 
 def test_films_as_a_phone_names_them_are_found(tmp_path):
     (tmp_path / "IMG_0012.MOV").write_bytes(b"body")
     assert holds_videos(tmp_path) and find_videos([tmp_path]) == {"body": tmp_path / "IMG_0012.MOV"}
     (tmp_path / "IMG_0013.MOV").write_bytes(b"head")
-    with pytest.raises(AssetError, match=r"expected body.mp4, .* found IMG_0012.MOV, IMG_0013.MOV"):
-        find_videos([tmp_path])
+    refused(AssetError, r"expected body.mp4, .* found IMG_0012.MOV, IMG_0013.MOV", find_videos, [tmp_path])
     films = {part: (tmp_path / old).rename(tmp_path / f"{part.title()}.MOV")
              for part, old in (("body", "IMG_0012.MOV"), ("head", "IMG_0013.MOV"))}  # fmt: skip
     assert find_videos([tmp_path]) == find_videos([films["head"], films["body"]]) == films
@@ -65,13 +63,11 @@ def test_films_as_a_phone_names_them_are_found(tmp_path):
 
 
 def test_a_folder_with_neither_films_nor_a_capture_says_what_was_expected(tmp_path):
-    with pytest.raises(AssetError, match=r"expected a capture, .* or films \(body.mp4, .*\), found neither"):
-        main([str(tmp_path)])
+    refused(AssetError, r"expected a capture, .* or films \(body.mp4, .*\), found neither", main, [str(tmp_path)])
 
 
 def test_without_keypoints_it_says_which_are_needed(filmed_four, tmp_path):
     for name in ("body", "head", "left", "right"):
         (tmp_path / f"{name}.mp4").symlink_to(filmed_four / f"{name}.mp4")
-    with pytest.raises(Exception, match=r"keypoints: expected keypoints .*--keypoints DIR says where"):
-        main([str(tmp_path)])
+    refused(Exception, r"keypoints: expected keypoints .*--keypoints DIR says where", main, [str(tmp_path)])
     assert main([str(tmp_path), "--keypoints", str(filmed_four / "keypoints")]) == 0

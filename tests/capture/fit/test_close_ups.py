@@ -83,14 +83,22 @@ def test_outlines_of_thicker_fingers_do_not_draw_the_hand_nearer():
     assert np.linalg.norm(joints_off(truth, found, "left"), axis=2).mean() < 0.006
 
 
-def once_round():
-    """A head that turns once, the turn of each frame, and footage in which no face is seen from behind."""
+def turning_head(turn, **changed):
+    """A head that turns so, radians, as found, and its footage; `changed` biases of points."""
     person = person_of("female")
-    turn = 2 * np.pi * np.arange(FRAMES) / FRAMES
     heading = matrix_from_axis_angle(turn[:, None] * [0, 1.0, 0])
     neck = person.body.joints[head.HEAD]
-    truth = truth_of(person, np.array([0, 0, -0.7]) - heading @ neck, heading, np.zeros((FRAMES, 52, 3)))
+    truth = truth_of(person, np.array([0, 0, -0.7]) - heading @ neck, heading, np.zeros((len(turn), 52, 3)))
     truth, footage = shown(truth, head.NAMES, np.zeros(0, np.int64))
+    for name, bias in changed.items():
+        truth.bias[footage.names.index(name)] = bias
+    return truth, footage
+
+
+def once_round():
+    """A head that turns once, whether its face is behind, and footage in which none is seen from there."""
+    turn = 2 * np.pi * np.arange(FRAMES) / FRAMES
+    truth, footage = turning_head(turn)
     behind = np.cos(turn) < -0.3
     return truth, behind, replace(footage, sure=np.where(behind[:, None], 0.0, footage.sure))
 
@@ -120,20 +128,8 @@ def test_long_hair_draws_no_head_down_into_itself():
     assert np.linalg.norm(at - true, axis=-1).max() < 0.055
 
 
-def turning_head(**changed):
-    """A head that turns, as found, and its footage; `changed` biases of points."""
-    person = person_of("female")
-    heading = matrix_from_axis_angle(np.linspace(-1, 1, 5)[:, None] * [0, 1.0, 0])
-    neck = person.body.joints[head.HEAD]
-    truth = truth_of(person, np.array([0, 0, -0.7]) - heading @ neck, heading, np.zeros((5, 52, 3)))
-    truth, footage = shown(truth, head.NAMES, np.zeros(0, np.int64))
-    for name, bias in changed.items():
-        truth.bias[footage.names.index(name)] = bias
-    return truth, footage
-
-
 def test_a_head_seen_from_nearer_by_biases_that_draw_inwards_is_put_back_without_a_point_moving():
-    estimate, footage = turning_head(face_30=(0.0, 0.004, 0.0))
+    estimate, footage = turning_head(np.linspace(-1, 1, 5), face_30=(0.0, 0.004, 0.0))
     at = footage.points
     places = np.stack([point.place(estimate.person.vertices(estimate.g), estimate.person.body.joints) for point in at])
     inwards = replace(estimate, bias=estimate.bias - 0.1 * (places - places.mean(0)))
@@ -145,7 +141,7 @@ def test_a_head_seen_from_nearer_by_biases_that_draw_inwards_is_put_back_without
 
 def test_features_go_where_they_were_seen_and_the_scalp_stays():
     lower = {f"face_{number}": (0.0, -0.004, 0.0) for number in range(48, 68)}
-    estimate, footage = turning_head(**lower)
+    estimate, footage = turning_head(np.linspace(-1, 1, 5), **lower)
     chosen = head.head_vertices(estimate.person)
     found = with_own_face(estimate, footage, chosen)
     moved, points = found.person.offsets, body_points()

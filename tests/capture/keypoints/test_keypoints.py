@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from filmed_figure import BODY, points_of
 from pose_twins import estimated, from_text
+from refusals import refused
 
 from capture.keypoints import mediapipe, openpose
 from capture.keypoints.detect import frame_json, model_files
@@ -184,16 +185,13 @@ def test_of_several_people_the_largest_is_taken_and_an_empty_frame_is_unseen(tmp
 
 
 def test_parts_of_a_picture_need_its_size_and_a_folder_of_nothing_is_refused(tmp_path):
-    with pytest.raises(AssetError, match=r"expected keypoints .*found none"):
-        read_keypoints(tmp_path)
+    refused(AssetError, r"expected keypoints .*found none", read_keypoints, tmp_path)
     write_mediapipe(tmp_path / "0.json", *truth())
     assert len(read_keypoints(tmp_path).pixels) == FRAMES
     write_mediapipe(tmp_path / "1.json", *truth())
-    with pytest.raises(AssetError, match="expected all frames of MediaPipe in one file, found 2 files"):
-        read_keypoints(tmp_path)
+    refused(AssetError, "expected all frames of MediaPipe in one file, found 2 files", read_keypoints, tmp_path)
     path = write_mediapipe(tmp_path / "a.json", *truth(), told=False)
-    with pytest.raises(AssetError, match="a picture of unknown size"):
-        read_keypoints(path)
+    refused(AssetError, "a picture of unknown size", read_keypoints, path)
     given = read_keypoints(path, size=SIZE)
     np.testing.assert_allclose(given.seen("nose")[:, :2], truth()[0]["nose"], atol=1e-9)
 
@@ -209,10 +207,7 @@ def spoilt(change):
 @pytest.mark.parametrize(
     "spoil, match",
     [
-        (
-            spoilt(lambda c: c[0]["pose_keypoints_2d"].pop()),
-            "pose_keypoints_2d should be 17, .*, 135 or 136 times x",
-        ),
+        (spoilt(lambda c: c[0]["pose_keypoints_2d"].pop()), "pose_keypoints_2d should be 17, .*, 135 or 136 times x"),
         (spoilt(lambda c: c[0]["pose_keypoints_2d"].__setitem__(4, "x")), "should be finite numbers"),
         (spoilt(lambda c: c[0]["pose_keypoints_2d"].__setitem__(5, -1.0)), "confidence should not be negative"),
         (spoilt(lambda c: c.append(5)), r"people\[1\] should be an object"),
@@ -286,11 +281,8 @@ def test_results_of_mediapipes_tasks_are_written_as_its_files_and_read_back(tmp_
 
 def test_detecting_says_what_is_missing(tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(AssetError, match=r"MediaPipe, which is not installed; pip install mediapipe"):
-        model_files(tmp_path)
+    refused(AssetError, r"MediaPipe, which is not installed; pip install mediapipe", model_files, tmp_path)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: name)
-    with pytest.raises(AssetError, match="--models DIR should hold"):
-        model_files(None)
+    refused(AssetError, "--models DIR should hold", model_files, None)
     (tmp_path / "hand_landmarker.task").touch()
-    with pytest.raises(AssetError, match=r"found no pose_landmarker\*\.task, face_landmarker\*\.task"):
-        model_files(tmp_path)
+    refused(AssetError, r"found no pose_landmarker\*\.task, face_landmarker\*\.task", model_files, tmp_path)

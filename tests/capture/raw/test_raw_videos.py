@@ -9,6 +9,7 @@ import pytest
 from filmed_figure import ABSENT, FRAMES, SIZE, film, wall
 from pictures import film as small_film
 from PIL import Image
+from refusals import refused
 
 from capture.keypoints.record import Keypoints
 from capture.raw import masks as own
@@ -240,11 +241,9 @@ def test_a_scan_has_the_bodys_video_and_reads_pictures_of_its_size_when_asked_fo
     # none is held: what travels to a worker is names, masks and points
     assert len(pickle.dumps(raw)) < raw.masks.nbytes + 3000
     Image.new("RGB", (24, 32)).save(raw.pictures[1])
-    with pytest.raises(AssetError, match=r"000001\.png: should be \(32, 24\) pixels as the video, is \(24, 32\)"):
-        raw.picture(1)
+    refused(AssetError, r"000001\.png: should be \(32, 24\) pixels as the video, is \(24, 32\)", raw.picture, 1)
     assert set(RawScan({"body": raw}).videos) == {"body"}
-    with pytest.raises(ValueError, match="the body's among them"):
-        RawScan(dict.fromkeys(("head", "hand_left"), raw))
+    refused(ValueError, "the body's among them", lambda: RawScan(dict.fromkeys(("head", "hand_left"), raw)))
 
 
 @pytest.mark.parametrize(
@@ -257,5 +256,4 @@ def test_a_scan_has_the_bodys_video_and_reads_pictures_of_its_size_when_asked_fo
 )
 def test_fields_that_disagree_are_refused(tmp_path, field, value, said):
     raw = video(tmp_path)
-    with pytest.raises(ValueError, match=said):
-        RawVideo(**(vars(raw) | {field: value}))
+    refused(ValueError, said, lambda: RawVideo(**(vars(raw) | {field: value})))

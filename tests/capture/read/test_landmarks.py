@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from foreign_layouts import colmap_files, write_colmap
+from refusals import refused
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, orbit_camera, project
@@ -60,8 +61,7 @@ def test_noisy_pixels_give_the_point_of_least_squares_and_what_no_point_explains
         # rays that diverge in front meet behind
         ("lie before its cameras, its pixels meet behind one", apart, pixels(apart) + [[-300, 0], [300, 0]]),
     ):
-        with pytest.raises(AssetError, match=f"file: nose should .*{message}"):
-            triangulated("file: nose", *given)
+        refused(AssetError, f"file: nose should .*{message}", triangulated, "file: nose", *given)
 
 
 @pytest.mark.parametrize(
@@ -76,8 +76,7 @@ def test_noisy_pixels_give_the_point_of_least_squares_and_what_no_point_explains
 )
 def test_files_that_are_none_are_refused(tmp_path, content, message):
     (tmp_path / "l.json").write_text(content)
-    with pytest.raises(AssetError, match=rf"l\.json: {message}"):
-        read_pixels(tmp_path / "l.json")
+    refused(AssetError, rf"l\.json: {message}", read_pixels, tmp_path / "l.json")
 
 
 def test_pixels_and_own_vertices_are_read_and_subfolders_looked_into(tmp_path, source):
@@ -86,8 +85,7 @@ def test_pixels_and_own_vertices_are_read_and_subfolders_looked_into(tmp_path, s
     assert seen["mole"]["a.png"].tolist() == [1, 2.5] and own == {"mole": 7}
     write_colmap(source, tmp_path / "work/sparse/0")
     assert len(read_colmap(tmp_path / "work")) == 3
-    with pytest.raises(AssetError, match="expected a COLMAP model"):
-        read_colmap(tmp_path)
+    refused(AssetError, "expected a COLMAP model", read_colmap, tmp_path)
 
 
 @pytest.mark.parametrize("sex", ["male", "female"])
@@ -152,8 +150,7 @@ def test_counts_beyond_the_file_are_refused_within_a_second(source, tmp_path, na
     data[at : at + 8] = struct.pack("<Q", max(count, 4) if at == 0 else count)
     (tmp_path / "m" / name).write_bytes(data)
     began = time.process_time()
-    with pytest.raises(AssetError, match=name.replace(".", r"\.")):
-        read_colmap(tmp_path / "m")
+    refused(AssetError, name.replace(".", r"\."), read_colmap, tmp_path / "m")
     assert time.process_time() - began < 1
 
 
@@ -170,5 +167,4 @@ BAD = [
 
 @pytest.mark.parametrize("camera, images, message", BAD)
 def test_cameras_and_images_that_are_none_are_refused_by_name(tmp_path, camera, images, message):
-    with pytest.raises(AssetError, match=message):
-        read_colmap(colmap_files(tmp_path, [camera], images))
+    refused(AssetError, message, lambda: read_colmap(colmap_files(tmp_path, [camera], images)))

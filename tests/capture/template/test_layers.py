@@ -9,16 +9,7 @@ import trimesh
 from avatar.skeleton import JOINTS, PARTS
 from capture.folder import CaptureSubject
 from capture.template.grid import DistanceGrid
-from capture.template.layers import (
-    BODY,
-    GAP,
-    HAIR,
-    OVERLAP,
-    HairLayers,
-    carved_faces,
-    hair_layers,
-    without_hair,
-)
+from capture.template.layers import BODY, GAP, HAIR, OVERLAP, HairLayers, carved_faces, hair_layers, without_hair
 from capture.template.parts import rigid_weights
 
 RADIUS = 0.12

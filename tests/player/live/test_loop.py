@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from pictures import pixels
 from pose_twins import angles_between
+from refusals import refused
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -171,8 +172,7 @@ def test_silent_senders_give_their_place_to_a_new_one(web_socket, monkeypatch):
     with ExitStack() as senders:
         silent = [senders.enter_context(connect(url)) for _ in range(8)]
         early = senders.enter_context(connect(url))
-        with pytest.raises(ConnectionClosed, match="too many senders"):
-            early.recv(timeout=600)
+        refused(ConnectionClosed, "too many senders", early.recv, timeout=600)
         monkeypatch.setattr("player.live.receiver.SILENT", 0.0)
         sender = senders.enter_context(connect(url))
         sender.send(build_pose(Pose(np.zeros((52, 3)), np.zeros(3)), time=0.0, sequence=0))
@@ -180,22 +180,18 @@ def test_silent_senders_give_their_place_to_a_new_one(web_socket, monkeypatch):
         # whichever of them was admitted first
         for one in silent * 40:
             with suppress(TimeoutError):
-                with pytest.raises(ConnectionClosed, match="silent, and others wait"):
-                    one.recv(timeout=0.02)
+                refused(ConnectionClosed, "silent, and others wait", one.recv, timeout=0.02)
                 return
         raise AssertionError("all keep their places")
 
 
 def test_taken_ports_foreign_hosts_and_a_missing_package_are_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "websockets.sync.server", None)
-    with pytest.raises(AssetError, match=r"pip install -e '\.\[live\]'"):
-        listen(Address("ws", "127.0.0.1", 0), Inbox("ws"))
+    refused(AssetError, r"pip install -e '\.\[live\]'", lambda: listen(Address("ws", "127.0.0.1", 0), Inbox("ws")))
     listener = listen(Address("vmc", "127.0.0.1", 0), Inbox("vmc"))
-    with pytest.raises(AssetError, match="in use by another program"):
-        listen(listener.address, Inbox("vmc"))
+    refused(AssetError, "in use by another program", lambda: listen(listener.address, Inbox("vmc")))
     listener.close()
-    with pytest.raises(AssetError, match=r"192\.0\.2\.1"):
-        listen(Address("vmc", "192.0.2.1", 39539), Inbox("vmc"))
+    refused(AssetError, r"192\.0\.2\.1", lambda: listen(Address("vmc", "192.0.2.1", 39539), Inbox("vmc")))
 
 
 def test_addresses_are_of_this_machine_and_stream_sends_the_motion(capsys):
@@ -207,8 +203,7 @@ def test_addresses_are_of_this_machine_and_stream_sends_the_motion(capsys):
     named = parse_address("vmc:0.0.0.0:39539", kinds)
     assert named.host == "0.0.0.0" and not named.local and parse_address("vmc:1", kinds).local
     for wrong in ("", "osc:1", "vmc:x", "vmc:70000", "udp:-1", "udp:::1:90", "udp:1.2.3.4:"):
-        with pytest.raises(ValueError, match="expected"):
-            parse_address(wrong, kinds)
+        refused(ValueError, "expected", parse_address, wrong, kinds)
     inbox = Inbox("udp")
     listener = listen(Address("udp", "127.0.0.1", 0), inbox)
     assert stream_main(["counting", "--to", str(listener.address), "--rate", "1000"]) == 0
@@ -217,8 +212,7 @@ def test_addresses_are_of_this_machine_and_stream_sends_the_motion(capsys):
     for wrong in (["--to", "ws:1"], ["--to", "udp:0"], ["--to", "udp:1", "--rate", "0"], []):
         with pytest.raises(SystemExit):
             stream_main(["counting", *wrong])
-    with pytest.raises(AssetError, match="no such file"):
-        stream_main(["absent.npz", "--to", "udp:1"])
+    refused(AssetError, "no such file", stream_main, ["absent.npz", "--to", "udp:1"])
 
 
 # The window -----------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from refusals import refused
 from tiny_avatar import tiny_avatar
 
 from avatar.gltf.avatar_file import write_avatar
@@ -23,12 +24,9 @@ def test_the_rule_for_shaders():
         "#version 300 es", "precision highp float;", "precision highp int;", "precision highp sampler2D;",
         "#define A 1", "in vec2 uv;  out vec4 c;",
     ]  # fmt: skip
-    with pytest.raises(ShaderError, match="'é' outside of a comment"):
-        essl("#version 330\nfloat é;\n")
-    with pytest.raises(ShaderError, match="expected '#version 330'"):
-        essl("#version 410\n")
-    with pytest.raises(ShaderError, match=r"no #if tests \['NONSENSE'\]"):
-        program({"VIEW_STAGE": 0, "NONSENSE": 1}, {})
+    refused(ShaderError, "'é' outside of a comment", essl, "#version 330\nfloat é;\n")
+    refused(ShaderError, "expected '#version 330'", essl, "#version 410\n")
+    refused(ShaderError, r"no #if tests \['NONSENSE'\]", program, {"VIEW_STAGE": 0, "NONSENSE": 1}, {})
 
 
 def test_programs_are_those_of_the_view_modes_without_effects():
