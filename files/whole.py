@@ -105,13 +105,12 @@ def check_file(path: Path | str) -> None:
     """
     mode = _mode(path)
     if mode is None:
-        _check_parent(path)
-        return
-    if stat.S_ISDIR(mode):
+        pass
+    elif stat.S_ISDIR(mode):
         raise AssetError(f"{path}: expected a file or nothing, found a folder")
-    if not stat.S_ISREG(mode):
+    elif not stat.S_ISREG(mode):
         raise AssetError(f"{path}: is a device, a pipe or a socket, not a file; name a file")
-    if not mode & 0o222:
+    elif not mode & 0o222:
         raise AssetError(f"{path}: is write-protected; choose another name, or make it writable")
     _check_parent(path)
 

@@ -5,7 +5,6 @@ same command goes on. OUT.making beside the avatar holds what they leave.
 """
 
 import filecmp
-import json
 import os
 import shutil
 import sys
@@ -25,7 +24,7 @@ from command.errors import AssetError
 from command.progress import clock_time
 from command.stages import Stage, command, run_stages
 from files.input_file import read_json_object
-from files.whole import check_file, is_free, whole_file
+from files.whole import check_file, is_free, whole_file, write_json
 
 # steps a part of the short training; the long one has the preset's own
 SHORT = 250
@@ -108,8 +107,7 @@ def claim(wanted: MakeCommand) -> None:
             other = "films" if before.get("films") != films else f"options ({words})"
             raise AssetError(f"{wanted.work}: holds the work on other {other}: remove it, or choose another -o")
     wanted.work.mkdir(exist_ok=True)
-    with whole_file(note, "w") as file:
-        json.dump(asked, file)
+    write_json(note, asked)
 
 
 def film_yourself(wanted: MakeCommand) -> MakeCommand:

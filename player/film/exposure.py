@@ -84,9 +84,8 @@ def focused(lens: DepthOfField, view: View, posers: Sequence[Poser]) -> float:
 
 def _moves(before: View, after: View, posers: Sequence[Poser]) -> bool:
     """Whether anything is seen to move."""
-    if not np.array_equal(before[1].camera_from_world, after[1].camera_from_world):
-        return True
-    if not np.array_equal(before[1].K, after[1].K):
+    here, away = before[1], after[1]
+    if not (np.array_equal(here.camera_from_world, away.camera_from_world) and np.array_equal(here.K, away.K)):
         return True
     there = _bones(before, posers)
     if any(

@@ -46,10 +46,6 @@ class Shot:
     context: str = "auto"
     gpu: int | str | None = None
 
-    @property
-    def transparent(self) -> bool:
-        return self.scene.background.transparent
-
     def files(self) -> list[str]:
         names: list[str] = []
         with_files(replace(self.scene, cameras=self.scene.cameras[:1]), lambda name: names.append(name) or name)
@@ -143,7 +139,7 @@ class ShotRenderer:
         """Draw these frames into a film, or into pieces of one; the film, written."""
         shot = self.shot
         with deferred_stop(patience=0) as stop, Film(
-            path, shot.rate, transparent=shot.transparent, quality=shot.quality, pieces=pieces
+            path, shot.rate, transparent=shot.scene.background.transparent, quality=shot.quality, pieces=pieces
         ) as film:  # fmt: skip
             for frame in frames:
                 canvas = film.canvas(shot.size)

@@ -14,10 +14,11 @@ from jaxtyping import Float
 
 from avatar.camera import Camera, orbit_camera
 from avatar.hull import hull_of, outermost, posed_hull
+from avatar.motion.clip import spread_frames
 from command.errors import AssetError
 from player.scene.acting import ALONE
 from player.scene.camera_path import CameraPath, is_path
-from player.scene.framing import ELEVATION, FOV, View, evenly, facing, fitted, fitted_round, view_from
+from player.scene.framing import FOV, View, facing, fitted, fitted_round, view_from
 from player.scene.motions import BLOCK
 from player.scene.opened import notes_of, opened_avatars, opened_camera, opened_tracks
 from player.scene.renderer import Pose
@@ -123,7 +124,7 @@ class Stage:
         for first in range(start, stop, BLOCK):
             # so many frames of a block show its extent; a motion of any length takes the memory of one block
             count = min(BLOCK, stop - first)
-            chosen = first + evenly(count, FITTED_TO)
+            chosen = first + spread_frames(count, FITTED_TO)
             poses = [[track.pose(frame / self.rate) for track in self.tracks] for frame in chosen.tolist()]
             for k, avatar in enumerate(self.avatars):
                 axis_angle = np.stack([row[k][0] for row in poses])
@@ -173,11 +174,8 @@ class Stage:
         if self.camera.eye is not None and self.camera.target is not None:
             return view_from(self.camera.eye, self.camera.target), self.tracks[0].pose(0.0)[1]
         assert fit is not None
-        if self.camera.kind in ("orbit", "turntable"):
-            found = fitted_round(fit.points, size, fov=fov)
-        else:
-            found = fitted(fit.points, fit.azimuth, size, fov=fov)
-        return View(found.target, found.distance, fit.azimuth, ELEVATION), np.zeros(3)
+        find = fitted_round if self.camera.kind in ("orbit", "turntable") else fitted
+        return find(fit.points, fit.azimuth, size, fov=fov), np.zeros(3)
 
 
 def camera_from_option(text: str) -> SceneCamera:

@@ -27,8 +27,7 @@ LONGEST_NAME = 80
 
 
 def _both(part: str, **angles: float | int) -> Angles:
-    named = {name.replace("_", " "): degrees for name, degrees in angles.items()}
-    return {f"left_{part}": named, f"right_{part}": named}
+    return _one(f"left_{part}", **angles) | _one(f"right_{part}", **angles)
 
 
 def _one(joint: str, **angles: float | int) -> Angles:

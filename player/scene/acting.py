@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,14 +24,6 @@ ALONE = 10.0
 LEAD = 0.2
 
 
-class Sight(NamedTuple):
-    """What eyes can look at."""
-
-    eye: Float[Array, "3"]  # the camera's place, world
-    # the pose LEAD seconds later: eyes get there before the head
-    ahead: Pose | None = None
-
-
 @dataclass(frozen=True)
 class Acting:
     """Life and speech of one avatar: functions of the scene's time, so that any frame can be made first."""
@@ -53,25 +44,30 @@ class Acting:
         # the turns are small: order does not matter
         return pose._replace(axis_angle=pose.axis_angle + sway(self.seed, seconds))
 
-    def faced(self, pose: Pose, seconds: float | int, look: Sight, lived: float | int | None = None) -> Pose:
-        """The pose with what the face does at a moment; `lived` is the moment of life where that is another."""
+    def faced(
+        self, pose: Pose, seconds: float | int, eye: Float[Array, "3"], ahead: Pose | None = None,
+        lived: float | int | None = None,
+    ) -> Pose:  # fmt: skip
+        """The pose with what the face does at a moment; `lived` is the moment of life where that is another. What eyes
+        look at: the camera's place `eye`, world; `ahead`, the pose LEAD seconds later, where they get before the head.
+        """
         face = pose.face
         if face is None and self.seed is not None:
-            face = life(self.seed, seconds if lived is None else lived, self.gaze(pose, look))
+            face = life(self.seed, seconds if lived is None else lived, self.gaze(pose, eye, ahead))
         if self.speech is not None:
             face = face or REST
             face = FaceFrame(np.clip(face.weights + self.speech.weights(seconds), 0.0, 1.0), face.gaze)
         return pose._replace(face=face)
 
-    def gaze(self, pose: Pose, look: Sight) -> Float[Array, "2 2"]:
+    def gaze(self, pose: Pose, eye: Float[Array, "3"], ahead: Pose | None = None) -> Float[Array, "2 2"]:
         """The gaze at the camera; where that is farther aside than eyes turn, ahead to where the head will be."""
         if self.avatar.eyes is None:
             return np.zeros((2, 2))
         head, gaze = self._head(pose), np.zeros((2, 2))
-        if look.ahead is not None:
-            gaze += angles_of(head[:3, :3].T @ self._head(look.ahead)[:3, 2])
+        if ahead is not None:
+            gaze += angles_of(head[:3, :3].T @ self._head(ahead)[:3, 2])
         canonical = joint_transforms(self.avatar.canonical_pose, self._joints)[HEAD]
-        at = gaze_at(look.eye, self.avatar.eyes, head @ np.linalg.inv(canonical))
+        at = gaze_at(eye, self.avatar.eyes, head @ np.linalg.inv(canonical))
         yaw, pitch = at.T
         # each eye's: behind the head, their mean is ahead
         beyond = max(np.abs(yaw).max() / YAW, pitch.max() / UP, -pitch.min() / DOWN)

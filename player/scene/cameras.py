@@ -142,8 +142,3 @@ def inner_box(image: tuple[int, int], size: tuple[int, int]) -> tuple[float, flo
     scale = min(size[0] / image[0], size[1] / image[1])
     width, height = image[0] * scale, image[1] * scale
     return 0.5 * (size[0] - width), 0.5 * (size[1] - height), width, height
-
-
-def moved_into(camera: Camera, area: tuple[int, int, int, int], size: tuple[int, int]) -> Camera:
-    """A camera for the area (left, top, width, height) as a camera for the whole window."""
-    return camera.cropped(-area[0], -area[1], size)

@@ -8,7 +8,7 @@ landmarks that both frames know place its cameras about the avatar in T-pose:
 which shows the same picture, since a pinhole does not see scale.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -72,29 +72,26 @@ def open_capture(path: Path | str, part: str = "body") -> CaptureView:
     cameras = read_cameras(folder / "cameras.npz", len(images))
     if part != "head":
         return CaptureView(part, images, tuple(cameras), read_video_poses(folder / "poses.npz", len(images)))
-    scale, R, t = head_from_world(path)
+    transform = head_from_world(path)
     still = np.zeros((len(images), 52, 3))
-    cameras = tuple(from_world(camera, scale, R, t) for camera in cameras)
+    cameras = tuple(from_world(camera, transform) for camera in cameras)
     return CaptureView(part, images, cameras, Clip(still, still[:, 0], HEAD_RATE))
 
 
-def head_from_world(path: Path) -> tuple[float, Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Scale, rotation and translation from the avatar's T-pose to the head video's frame, by its landmarks."""
+def head_from_world(path: Path) -> Float[np.ndarray, "4 4"]:
+    """The similarity from the avatar's T-pose to the head video's frame, by its landmarks."""
     place = path / "head" / "landmarks.json"
     subject = path / "subject.npz"
     template = field(subject, read_npz(subject, "a subject", ("v_template",)), "v_template", (None, 3))
     head, vertices = read_head_landmarks(place, len(template))
     try:
-        fit = similarity_from_landmarks(template[vertices].astype(np.float64), head)
+        return similarity_from_landmarks(template[vertices].astype(np.float64), head).transform
     except ValueError as error:
         raise AssetError(f"{place}: {error}") from None
-    scale = float(np.cbrt(np.linalg.det(fit.transform[:3, :3])))
-    return scale, fit.transform[:3, :3] / scale, fit.transform[:3, 3]
 
 
-def from_world(camera: Camera, scale: float, R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"]) -> Camera:
+def from_world(camera: Camera, transform: Float[np.ndarray, "4 4"]) -> Camera:
     """A camera of the head's frame as one of the world."""
-    pose = np.eye(4)
-    Rc, tc = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
-    pose[:3, :3], pose[:3, 3] = Rc @ R, (Rc @ t + tc) / scale
-    return Camera(camera.K, pose, camera.size, camera.distortion)
+    pose = camera.camera_from_world @ transform
+    pose[:3] /= np.cbrt(np.linalg.det(pose[:3, :3]))
+    return replace(camera, camera_from_world=pose)

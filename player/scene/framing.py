@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, direction, look_at, orbit_camera
 from avatar.hull import hull_of, outermost, posed_hull
-from avatar.motion.clip import Clip
+from avatar.motion.clip import Clip, spread_frames
 from avatar.skeleton import joint_transforms
 from player.draw.posing import posed_vertices
 
@@ -41,27 +41,24 @@ def facing(axis_angle: Float[Array, "52 3"], joints: Float[Array, "52 3"]) -> fl
 
 def extent(avatar: Avatar, clip: Clip) -> Float[Array, "points 3"]:
     """World points whose view holds the avatar, hair and shoes too, in (about 48) frames of the clip."""
-    chosen = evenly(len(clip.root), 48)
+    chosen = spread_frames(len(clip.root), 48)
     points = posed_hull(hull_of(avatar), clip.axis_angle[chosen], clip.root[chosen]).reshape(-1, 3)
     return points[outermost(points)]
 
 
-def evenly(count: int, samples: int) -> Int[Array, "chosen"]:
-    """At most so many of the numbers 0 .. count - 1, spread evenly, first and last among them."""
-    return np.linspace(0, count - 1, min(samples, count)).astype(np.int64)
-
-
-class Fitted(NamedTuple):
-    """Where a camera looks, and how far from it it stands."""
+class View(NamedTuple):
+    """Where a camera looks, and from where."""
 
     target: Float[Array, "3"]
     distance: float  # metres
+    azimuth: float  # radians, 0 along +z of the world, growing towards +x
+    elevation: float  # radians
 
 
 def fitted(
     points: Float[Array, "points 3"], azimuth: float, size: tuple[int, int], *, elevation: float = ELEVATION,
     fov: float = FOV,
-) -> Fitted:  # fmt: skip
+) -> View:  # fmt: skip
     """The nearest camera from that side whose picture shows every point inside its margins, in its middle.
 
     With x, z a point's place to the right of the target and behind it, s the slope of the picture's edge less the
@@ -75,18 +72,17 @@ def fitted(
     needed = [((v - s * z).max() - (v + s * z).min()) / (2 * s) for v, s in zip((x, y), slopes, strict=True)]
     distance = max(*needed, _nearest(points) - float(z.min()))
     shift = [_even_margins(v, distance + z) for v in (x, y)]
-    return Fitted(middle + shift[0] * R[0] + shift[1] * R[1], float(distance))
+    return View(middle + shift[0] * R[0] + shift[1] * R[1], float(distance), azimuth, elevation)
 
 
 def fitted_camera(
     points: Float[Array, "points 3"], azimuth: float, size: tuple[int, int], *, elevation: float = ELEVATION
 ) -> Camera:
-    view = fitted(points, azimuth, size, elevation=elevation)
-    return orbit_camera(view.target, view.distance, azimuth, elevation, size, FOV)
+    return orbit_camera(*fitted(points, azimuth, size, elevation=elevation), size, FOV)
 
 
-def fitted_round(points: Float[Array, "points 3"], size: tuple[int, int], *, fov: float = FOV) -> Fitted:
-    """What a camera that goes round the vertical through the middle of the points looks at: it always sees all."""
+def fitted_round(points: Float[Array, "points 3"], azimuth: float, size: tuple[int, int], *, fov: float = FOV) -> View:
+    """How a camera that goes round the vertical through the middle of the points begins: it always sees all."""
     middle = 0.5 * (points.min(0) + points.max(0))
     # all that comes before the lens: the points at every turn
     turns = np.linspace(0, 2 * np.pi, SIDES, endpoint=False)
@@ -105,14 +101,7 @@ def fitted_round(points: Float[Array, "points 3"], size: tuple[int, int], *, fov
         high = ((y - slopes[1] * z).max() - (y + slopes[1] * z).min()) / (2 * slopes[1])
         distance = float(max(wide, high, nearest - z.min()))
         lift -= _even_margins(y, distance + z) / np.cos(ELEVATION)
-    return Fitted(middle + [0.0, lift, 0.0], distance)
-
-
-class View(NamedTuple):
-    target: Float[Array, "3"]
-    distance: float  # metres
-    azimuth: float  # radians, 0 along +z of the world, growing towards +x
-    elevation: float  # radians
+    return View(middle + [0.0, lift, 0.0], distance, azimuth, ELEVATION)
 
 
 def view_from(eye: Sequence[float], target: Sequence[float]) -> View:

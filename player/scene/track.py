@@ -11,7 +11,7 @@ from avatar.face import face_between
 from avatar.motion.clip import Clip, Motion
 from player.draw.drawing import FASTEST, TURNED, Pose
 from player.effects.foot_lock import FootLock
-from player.scene.acting import LEAD, Acting, Sight
+from player.scene.acting import LEAD, Acting
 from player.scene.motions import BLOCK
 
 
@@ -62,7 +62,7 @@ class Track:
         if self.acting is None:
             return pose
         ahead = self.pose(seconds + LEAD, lived) if self.motion.frames > 1 else None
-        return self.acting.faced(pose, seconds, Sight(eye, ahead), lived)
+        return self.acting.faced(pose, seconds, eye, ahead, lived)
 
     def _swaying(self, pose: Pose, seconds: float | int) -> Pose:
         """A body that no motion moves, breathing where that is asked for."""

@@ -13,7 +13,7 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Clip
 from files.input_file import Json, JsonObject
-from player.scene.framing import ELEVATION, FOV, extent, facing, fitted
+from player.scene.framing import FOV, extent, facing, fitted
 from player.web.essl import programs
 from player.web.packing import Packed, packed_avatar, packed_motion
 
@@ -66,8 +66,8 @@ def first_camera(avatar: Avatar, clip: Clip) -> JsonObject:
     alone, narrow = fitted(points, azimuth, (640, 640)), fitted(points, azimuth, (320, 640))
     person = {"target": alone.target.tolist(), "distance": alone.distance, "narrow": narrow.distance}
     return {
-        "target": view.target.tolist(), "distance": view.distance, "person": person, "azimuth": azimuth,
-        "elevation": ELEVATION, "fov": float(FOV),
+        "target": view.target.tolist(), "distance": view.distance, "person": person, "azimuth": view.azimuth,
+        "elevation": view.elevation, "fov": float(FOV),
     }  # fmt: skip
 
 

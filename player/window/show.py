@@ -13,7 +13,7 @@ from player.live.playback import LivePlayback
 from player.scene.camera_path import CameraPath
 from player.scene.cameras import TURN_SECONDS, Cameras, Orbit
 from player.scene.capture_view import CaptureView, open_capture
-from player.scene.framing import ELEVATION, FOV, View, extent, facing, fitted, view_from
+from player.scene.framing import FOV, extent, facing, fitted, view_from
 from player.scene.motions import BLOCK
 from player.scene.opened import opened_camera, opened_tracks
 from player.scene.scene import Scene, SceneCamera
@@ -47,7 +47,7 @@ class Show:
         first = self.playback.tracks[0].pose(0.0)[0]
         azimuth = facing(first, self.avatars[0].joint_positions.astype(np.float64))
         orbit = self.cameras.orbit
-        orbit.move_home(View(*fitted(everything, azimuth, size, fov=orbit.fov), azimuth, ELEVATION))
+        orbit.move_home(fitted(everything, azimuth, size, fov=orbit.fov))
 
 
 def opened_show(

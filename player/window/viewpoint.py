@@ -7,7 +7,7 @@ from avatar.camera import Camera
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.progress import plural
 from player.draw.posing import posed_vertices
-from player.scene.framing import ELEVATION, View, fitted
+from player.scene.framing import fitted
 from player.scene.scene import SceneCamera
 from player.window.recorder import free_name
 from player.window.show import Show
@@ -65,8 +65,8 @@ class Viewpoint:
         points = posed_vertices(avatar, level, self.state.last.poses[index][:2])[np.isin(level.skin.heaviest, below)]
         x, _, z = joints[HEAD if joint == HEAD else 0, :3, 2]
         orbit, azimuth = self.cameras.orbit, float(np.arctan2(x, z))
-        target, distance = fitted(points, azimuth, self._size, fov=orbit.fov)
-        orbit.look(View(target, AROUND * distance, azimuth, ELEVATION))
+        view = fitted(points, azimuth, self._size, fov=orbit.fov)
+        orbit.look(view._replace(distance=AROUND * view.distance))
         self.cameras.kind, self._part = "orbit", (index, middle, joints[middle, :3, 3])
 
     def reset(self) -> None:

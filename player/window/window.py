@@ -16,7 +16,6 @@ import moderngl
 
 from command.errors import AssetError
 from command.interrupt import StopRequest, deferred_stop
-from player.scene.cameras import moved_into
 from player.scene.opened import opened_avatars
 from player.scene.scene_file import read_scene
 from player.window.budgeted import Budgeted
@@ -215,7 +214,7 @@ class Window:
         """The avatars, and the source video where there is one."""
         parts, size = self.parts, self.screen.size
         area, viewpoint, look = parts.state.layout.area, parts.viewpoint, parts.look
-        camera = parts.state.last.camera = moved_into(viewpoint.camera(), area, size)
+        camera = parts.state.last.camera = viewpoint.camera().cropped(-area[0], -area[1], size)
         parts.state.last.poses = parts.state.playback.faced(parts.state.last.poses, camera.eye)
         began = self.clock()
         look.renderer.move(parts.state.last.poses, self._moved)

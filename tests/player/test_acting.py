@@ -16,7 +16,7 @@ from avatar.motion.clip import Clip
 from player.draw.drawing import Pose
 from player.film.stage import Stage
 from player.play_command import with_life
-from player.scene.acting import ALONE, Acting, Sight
+from player.scene.acting import ALONE, Acting
 from player.scene.motions import standing
 from player.scene.scene import Scene, SceneAvatar
 from player.scene.track import Track
@@ -86,16 +86,16 @@ def test_eyes_are_at_the_camera_wherever_the_body_stands_and_leave_one_that_is_b
 
     def at(angle):
         direction = np.array([np.sin(0.5 + angle), 0.0, np.cos(0.5 + angle)])
-        return acting.gaze(pose, Sight(head + 3 * direction))[:, 0].mean()
+        return acting.gaze(pose, head + 3 * direction)[:, 0].mean()
 
     assert abs(at(0.4 * side) - 0.4 * side) < 0.03 and abs(at(0.0)) < 0.03
     assert abs(at(side * np.pi * 0.9)) < 1e-9 and abs(at(side * 1.5 * YAW)) < abs(at(side * YAW)) <= YAW
-    face = acting.faced(pose, 0.0, Sight(head + [0, 0, 9.0])).face
+    face = acting.faced(pose, 0.0, head + [0, 0, 9.0]).face
     assert face.gaze[:, 0].mean() < -0.4  # past its own shoulder
     later = turned.copy()
     later[15, 1] = 0.3  # the head will turn to the left
-    behind = Sight(head - 3 * np.array([np.sin(0.5), 0.0, np.cos(0.5)]), Pose(later, pose.root))
-    assert np.allclose(acting.gaze(pose, behind), [[0.3, 0]] * 2, atol=1e-6)
+    behind, ahead = head - 3 * np.array([np.sin(0.5), 0.0, np.cos(0.5)]), Pose(later, pose.root)
+    assert np.allclose(acting.gaze(pose, behind, ahead), [[0.3, 0]] * 2, atol=1e-6)
 
 
 def test_the_window_gives_life_to_faces_alone_and_none_where_it_is_not_wanted(avatar):
