@@ -73,6 +73,10 @@ class Decision(NamedTuple):
         return self.state is PassState.RUNS
 
 
+OUT_OF_VIEW = Decision(PassState.SKIPPED, "out of view")
+NONE_IN_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
+
+
 @dataclass(frozen=True)
 class Pass(ABC):
     """One step of a frame. The renderer knows an effect by these verbs alone; all but the first two may stay empty."""
@@ -102,6 +106,28 @@ class Pass(ABC):
     def cost(self, drawn: float, inputs: FrameInputs, frame: Callable[[], float]) -> float:
         """Milliseconds it costs, of those that drawing it takes and those of a whole frame, which `frame` measures."""
         return drawn
+
+
+@dataclass(frozen=True)
+class Addition:
+    """What an effect adds to the programs that draw an avatar: they know it by these verbs alone."""
+
+    handles: tuple[AnyHandle, ...]
+    # further attributes of the vertices
+    buffers: tuple[Attributes, ...]
+
+    def shows(self, drawing: Drawing) -> bool:
+        """Whether it can be seen in this frame."""
+        return True
+
+    def bind(self, drawing: Drawing) -> None:
+        """Bring what it is in this frame to the GPU, unless another pass has, and bind it."""
+
+    def apply(self, drawing: Drawing, program: moderngl.Program) -> None:
+        """Give a program its uniforms."""
+
+    def warm(self, resources: PlanResources) -> None:
+        """Bind what adds nothing."""
 
 
 @runtime_checkable
@@ -256,13 +282,15 @@ class Draft:
         return self.need(Handle(moderngl.Buffer, name, size, depends_on, make))
 
     def vertices(
-        self, name: str, avatar: int, item_bytes: int, content: Callable[[], np.ndarray]
+        self, name: str, avatar: int, item_bytes: int, content: Callable[[], np.ndarray], level: int | None = None
     ) -> Handle[moderngl.Buffer]:
-        """What an avatar's vertices hold, given in the file's order; made once for avatars that are the same."""
-        level, first = self.levels[avatar], self.first(avatar)
+        """What an avatar's vertices hold, given in the file's order, at the plan's level of detail or another; made
+        once for avatars that are the same."""
+        first, number = self.first(avatar), self.detail[avatar] if level is None else level
+        mesh = self.avatars[avatar].level(number)
         return self.buffer(
-            f"{self.tag(first)} {name}", item_bytes * len(level.positions), first, self.detail[avatar],
-            content=lambda made: content()[vertex_order(made, level)[0]].tobytes(),
+            f"{self.tag(first)} {name}", item_bytes * len(mesh.positions), first, number,
+            content=lambda made: content()[vertex_order(made, mesh)[0]].tobytes(),
         )  # fmt: skip
 
     def texture(
@@ -277,13 +305,11 @@ class Draft:
         """Two shaders in a variant. A sampler reads the texture unit of its place among `samplers`. `constants` are
         includes written for one avatar; without them avatars share the program."""
 
-        counted = {} if self.bones == len(JOINTS) else {"bone_count.glsl": f"const int BONE_COUNT = {self.bones};\n"}
-        if self.influences < 4:
-            counted["influence_count.glsl"] = f"const int INFLUENCES = {self.influences};\n"
+        counts = f"const int BONE_COUNT = {self.bones}, INFLUENCES = {self.influences};\n"
 
         def make(resources: PlanResources) -> moderngl.Program:
             """Compile it, and give its blocks and samplers their places."""
-            generated = {**constants(), **counted}
+            generated = {**constants(), "counts.glsl": counts}
             program = compile_program(resources.context.gl, vertex, fragment, defines, generated)
             for block in BINDING:
                 bind_block(program, block, self.bones)
@@ -293,7 +319,7 @@ class Draft:
                     found.value = unit
             return program
 
-        depends_on = (vertex, fragment, avatar, *defines.items(), *counted.values())
+        depends_on = (vertex, fragment, avatar, *defines.items(), counts)
         return self.need(Handle(moderngl.Program, f"{vertex} {fragment}", 0, depends_on, make))
 
     def array(
