@@ -42,17 +42,14 @@ in vec3 view_q0;    // cone: xx xy xz
 in vec3 view_q1;    //       yy yz zz
 in float view_seen; // 0 = never seen
 #include "view_cone.glsl"
-#endif
-
 #if VIEW_STAGE == 1
 #include "view_model.glsl"
 out vec3 residual;
-#endif
-
-#if VIEW_STAGE == 2
+#else
 // It is smooth over a triangle, unlike what the network makes of it: interpolated, pictures are 68 dB from those with
 // all four of its ingredients interpolated (30k triangles; 62 dB at 3k), and cost 8 % less in software.
 out vec3 tangent;
+#endif
 #endif
 
 void main() {
@@ -73,11 +70,11 @@ void main() {
 #endif
 #if VIEW_STAGE != 0
     vec3 direction_canonical = turned_back(blended_turn(joints, weights), unit(position_view));
-#endif
+    vec3 off_mean = cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen);
 #if VIEW_STAGE == 1
-    residual = view_residual_at(uv, cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen));
+    residual = view_residual_at(uv, off_mean);
+#else
+    tangent = off_mean;
 #endif
-#if VIEW_STAGE == 2
-    tangent = cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen);
 #endif
 }

@@ -25,7 +25,7 @@ from avatar.skeleton import JOINT_NUMBERS
 from player.draw.drawing import Drawing, FrameInputs, Pose
 from player.draw.plan import FACE_UNIT, OUT_OF_VIEW, Addition, Decision, Draft, Pass, PassState
 from player.draw.posing import PosedBones
-from player.draw.resources import Handle, PlanResources
+from player.draw.resources import AnyHandle, Handle, PlanResources
 
 CLEARANCE, BESIDE = 3e-4, 18e-3  # metres from a ball to its lids, and to the farthest skin that could come so near
 HEAD, HEAD_HEIGHT = JOINT_NUMBERS["head"], 0.23  # metres
@@ -137,6 +137,10 @@ class FaceOffsets(Addition):
     motion: FaceMotion
     texture: Handle[moderngl.Texture]
 
+    @property
+    def handles(self) -> tuple[AnyHandle, ...]:
+        return (*super().handles, self.texture)
+
     def frame(self, drawing: Drawing) -> FaceFrame:
         """What the face does in this frame, as far as it can be seen."""
         seen = head_pixels(drawing.bones[self.avatar], drawing.inputs.camera) >= SMALLEST
@@ -167,7 +171,7 @@ def face_of(draft: Draft, avatar: int, level: int) -> FaceOffsets | None:
 
     texture = draft.texture(f"{draft.tag(avatar)} face", 16 * WIDTH * rows, avatar, level, make=make)
     slots = draft.vertices("face slots", avatar, 4, lambda: motion.blend.slots, level)
-    return FaceOffsets((texture, slots), ((slots, "1u4", "face_slot"),), avatar, motion, texture)
+    return FaceOffsets(((slots, "1u4", "face_slot"),), (), avatar, motion, texture)
 
 
 @dataclass(frozen=True)

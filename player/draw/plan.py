@@ -26,7 +26,7 @@ from avatar.skeleton import JOINTS
 from player.draw.drawing import Drawing, FrameInputs, Layer, Pose, Warming
 from player.draw.mesh import attributes_read, draw_order
 from player.draw.resources import AnyHandle, Handle, Image, PlanResources
-from player.gl.blocks import BINDING, FRAME, bind_block
+from player.gl.blocks import BINDING, FRAME, bind_block, block_bytes
 from player.gl.shader import compile_program
 from player.gl.tiles import Patches
 
@@ -110,24 +110,38 @@ class Pass(ABC):
 
 @dataclass(frozen=True)
 class Addition:
-    """What an effect adds to the programs that draw an avatar: they know it by these verbs alone."""
+    """What a program that draws an avatar reads, and what effects add to that: it knows them by these verbs alone."""
 
-    handles: tuple[AnyHandle, ...]
-    # further attributes of the vertices
+    # attributes of the vertices
     buffers: tuple[Attributes, ...]
+    # uniform blocks by their names
+    blocks: tuple[tuple[str, Handle[moderngl.Buffer]], ...]
+
+    @property
+    def handles(self) -> tuple[AnyHandle, ...]:
+        """All it reads."""
+        return (*(handle for _, handle in self.blocks), *(buffer[0] for buffer in self.buffers))
 
     def shows(self, drawing: Drawing) -> bool:
         """Whether it can be seen in this frame."""
         return True
 
+    def content(self, drawing: Drawing, block: str) -> bytes | np.ndarray:
+        """What one of its blocks holds in this frame."""
+        raise AssertionError("it has no block")
+
     def bind(self, drawing: Drawing) -> None:
         """Bring what it is in this frame to the GPU, unless another pass has, and bind it."""
+        for name, handle in self.blocks:
+            drawing.bind(handle, name, lambda: self.content(drawing, name))
 
     def apply(self, drawing: Drawing, program: moderngl.Program) -> None:
         """Give a program its uniforms."""
 
     def warm(self, resources: PlanResources) -> None:
         """Bind what adds nothing."""
+        for name, handle in self.blocks:
+            resources.bind_zeros(handle, name)
 
 
 @runtime_checkable
@@ -198,12 +212,10 @@ class Canvas:
 
 
 class Draft:
-    """A plan being written. Effects are asked from the last to the first: one that filters the picture says where
-    those before it draw.
+    """A plan being written. Effects are asked from the last to the first: a filter says where those before it draw.
 
-    avatars, detail: who is drawn, and the number of the level of detail of each; dual: with dual quaternions. `effects`
-    are all that the scene asks for, the background among them; `kept` is what an earlier plan kept; `faces` are the
-    avatars whose face has moved.
+    avatars, detail: who is drawn, and the number of each one's level of detail; dual: with dual quaternions. `effects`
+    are all that the scene asks for, the background too; `kept` is an earlier plan's; `faces`: whose face has moved.
     """
 
     def __init__(
@@ -223,6 +235,7 @@ class Draft:
         self.layer = Layer()
         self.image: Image | None = None
         self.background: Image | None = None
+        # pixels round an avatar's surface that an effect can draw on
         self.margin = MARGIN
         self.views: dict[int, str] = {}
         self.moved: set[int] = set()
@@ -266,10 +279,6 @@ class Draft:
         image = self.layer.image or self.image
         return (*(() if image is None else image.handles), self.frame)
 
-    def widen(self, pixels: int) -> None:
-        """An effect draws so far round an avatar's surface."""
-        self.margin = max(self.margin, MARGIN + pixels)
-
     def buffer(
         self, name: str, size: int, *depends_on: Hashable, content: Callable[[PlanResources], bytes] | None = None
     ) -> Handle[moderngl.Buffer]:
@@ -292,6 +301,11 @@ class Draft:
             f"{self.tag(first)} {name}", item_bytes * len(mesh.positions), first, number,
             content=lambda made: content()[vertex_order(made, mesh)[0]].tobytes(),
         )  # fmt: skip
+
+    def block(self, name: str, avatar: int) -> tuple[str, Handle[moderngl.Buffer]]:
+        """A uniform block of one avatar, to be written in each frame."""
+        size = block_bytes(name, self.bones)
+        return name, self.buffer(f"{self.tag(avatar)} {name.lower()}", size, avatar)
 
     def texture(
         self, name: str, size: int, *depends_on: Hashable, make: Callable[[PlanResources], moderngl.Texture]

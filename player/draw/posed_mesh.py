@@ -1,8 +1,7 @@
 """An avatar's surface in this frame's pose, as every pass that draws it shares it: mesh and bones on the GPU."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cache
 
 import moderngl
 import numpy as np
@@ -13,42 +12,31 @@ from player.draw.mesh import VERTEX, interleaved
 from player.draw.plan import Addition, Attributes, Draft, vertex_order
 from player.draw.posing import dual_parts, quaternions
 from player.draw.resources import AnyHandle, Handle, PlanResources
-from player.gl.blocks import block_bytes
 
 BASE = ("3f4 2f4 4u1 4f1", "position", "uv", "joints", "weights")
 
 
 @dataclass(frozen=True)
-class PosedMesh:
-    """One avatar's mesh at its level of detail, and the blocks that hold its bones."""
+class PosedMesh(Addition):
+    """One avatar's mesh at its level of detail; blocks: "Bones" for LBS, "Duals" and "Turns" for dual quaternions."""
 
     avatar: int
-    vertices: Handle[moderngl.Buffer]
     faces: Handle[moderngl.Buffer]
-    # LBS reads "Bones", dual quaternions read "Duals" and "Turns"
-    blocks: tuple[tuple[str, Handle[moderngl.Buffer]], ...]
     # its programs have FACE 1; None: its face does not move
     face: FaceOffsets | None
 
     @property
     def handles(self) -> tuple[AnyHandle, ...]:
-        return (self.vertices, self.faces, *(handle for _, handle in self.blocks))
+        return (*super().handles, self.faces)
 
-    def pose(self, drawing: Drawing) -> None:
-        """Bring the bones of this frame to the GPU, unless another pass has, and bind them."""
+    def content(self, drawing: Drawing, block: str) -> np.ndarray:
         bones = drawing.bones[self.avatar]
-        turns = cache(lambda: quaternions(bones))
-        content: dict[str, Callable[[], np.ndarray]] = {
-            "Bones": lambda: bones.view_from_canonical[:, :3], "Turns": turns,
-            "Duals": lambda: dual_parts(bones, turns()),
-        }  # fmt: skip
-        for name, handle in self.blocks:
-            drawing.bind(handle, name, lambda: np.ascontiguousarray(content[name](), np.float32))
-
-    def warm(self, resources: PlanResources) -> None:
-        """Bones that put every vertex in one place."""
-        for name, handle in self.blocks:
-            resources.bind_zeros(handle, name)
+        if block == "Bones":
+            out = bones.view_from_canonical[:, :3]
+        else:
+            turns = drawing.once(("turns", self.avatar), lambda: quaternions(bones))
+            out = turns if block == "Turns" else dual_parts(bones, turns)
+        return np.ascontiguousarray(out, np.float32)
 
 
 def posed_mesh(draft: Draft, avatar: int, *, directions: bool = False, level: int | None = None) -> PosedMesh:
@@ -62,11 +50,8 @@ def posed_mesh(draft: Draft, avatar: int, *, directions: bool = False, level: in
         content=lambda made: vertex_order(made, mesh)[1].tobytes(),
     )  # fmt: skip
     names = ("Turns", "Duals") if draft.dual else ("Bones", "Turns") if directions else ("Bones",)
-    blocks = [
-        (name, draft.buffer(f"{draft.tag(avatar)} {name.lower()}", block_bytes(name, draft.bones), avatar))
-        for name in names
-    ]
-    return PosedMesh(avatar, vertices, faces, tuple(blocks), face_of(draft, avatar, level))
+    blocks = tuple(draft.block(name, avatar) for name in names)
+    return PosedMesh(((vertices, *BASE),), blocks, avatar, faces, face_of(draft, avatar, level))
 
 
 @dataclass(frozen=True)
@@ -84,7 +69,6 @@ class DrawnMesh:
         return all(one.shows(drawing) for one in self.added)
 
     def draw(self, drawing: Drawing) -> None:
-        self.mesh.pose(drawing)
         array = drawing.resources[self.array]
         for one in self.added:
             one.bind(drawing)
@@ -93,7 +77,6 @@ class DrawnMesh:
 
     def warm(self, resources: PlanResources) -> None:
         """Draw a triangle to what is bound."""
-        self.mesh.warm(resources)
         for one in self.added:
             one.warm(resources)
         resources[self.array].render(vertices=3)
@@ -104,12 +87,12 @@ def drawn_mesh(
     *more: Attributes,
 ) -> DrawnMesh:  # fmt: skip
     """A mesh for a program, with its face, what there is of additions and further attributes of its vertices."""
-    there = tuple(one for one in (mesh.face, *added) if one is not None)
+    there = tuple(one for one in (mesh, mesh.face, *added) if one is not None)
     # two may bring the same one
     buffers = dict.fromkeys([*more, *(buffer for one in there for buffer in one.buffers)])
-    array = draft.array(program, (mesh.vertices, *BASE), *buffers, faces=mesh.faces)
+    array = draft.array(program, *buffers, faces=mesh.faces)
     reads = (handle for one in there for handle in one.handles)
-    return DrawnMesh(mesh, (*mesh.handles, *reads, *(buffer[0] for buffer in more), array), array, there)
+    return DrawnMesh(mesh, (*reads, *(buffer[0] for buffer in more), array), array, there)
 
 
 def normals_of(draft: Draft, avatar: int) -> Attributes:

@@ -44,8 +44,7 @@ class ScreenBounds(NamedTuple):
 
 
 class Poser:
-    """Bones of one avatar; keeps what does not change from frame to frame. Its spheres hold the surface at all these
-    levels of detail."""
+    """Bones of one avatar; keeps what no frame changes. Its spheres hold the surface at all these levels of detail."""
 
     def __init__(self, avatar: Avatar, *levels: Level):
         self.joints = avatar.joint_positions.astype(np.float64)

@@ -105,8 +105,7 @@ class Variants(NamedTuple):
 
 
 def variants_of(draft: Draft, who: int, view_stage: int, *more: Attributes, **program: Any) -> Variants:
-    """view_stage: VIEW_STAGE of shaders/avatar.vert; more: further attributes of the vertices; program: as
-    `Draft.program`."""
+    """view_stage: VIEW_STAGE of avatar.vert; more: further attributes of the vertices; program: as `Draft.program`."""
     (light, note), contact, loose = light_of(draft, who), contact_of(draft, who), offsets_of(draft, who)
     mesh = posed_mesh(draft, who, directions=light is not None or view_stage > 0)
     lit, face = 0 if light is None else light.variant, int(mesh.face is not None)

@@ -17,7 +17,7 @@ from command.settings import Above, AtMost, Color, FilePlace, OneOf, settings
 from player.draw.drawing import Drawing
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Image
-from player.effects.background_source import RGBA, PictureSequence, Placing, Source, Video, opened_folder
+from player.effects.background_source import PICTURES, RGBA, PictureSequence, Placing, Source, Video
 from player.effects.panorama import Panorama, panorama_pass
 
 BACKGROUNDS = ("color", "image", "video", "hdr", "transparent")
@@ -136,4 +136,9 @@ def opened_source(background: Background) -> Source | Panorama:
         return PictureSequence([path], placing)
     if not path.exists():
         raise AssetError(f"{path}: no such file")
-    return opened_folder(path, placing, background.rate) if path.is_dir() else Video(path, placing)
+    if not path.is_dir():
+        return Video(path, placing)
+    files = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURES)
+    if not files:
+        raise AssetError(f"{path}: expected pictures ({', '.join(PICTURES)}), found none")
+    return PictureSequence(files, placing, background.rate)

@@ -63,26 +63,23 @@ class AvatarContact(Addition):
     avatar: int
     strength: float
     body: Callable[[], Capsules]  # fitted when they are first needed: a quarter of a second
-    block: Handle[moderngl.Buffer]  # the capsules of this frame
 
     def shows(self, drawing: Drawing) -> bool:
         return drawing.height(self.avatar) >= SMALLEST
 
-    def bind(self, drawing: Drawing) -> None:
-        drawing.bind(self.block, "Capsules", lambda: self.content(drawing))
-
     def apply(self, drawing: Drawing, program: moderngl.Program) -> None:
         set_uniforms(program, darkening=self.strength)
 
-    def warm(self, resources: PlanResources) -> None:
-        resources.bind_zeros(self.block, "Capsules")
+    def content(self, drawing: Drawing, block: str) -> bytes:
+        """The capsules of this frame."""
+        return self.chosen(drawing, slice(None))
 
-    def content(self, drawing: Drawing, chosen: slice | Int[np.ndarray, "near"] = slice(None)) -> bytes:
-        """The block of the capsules, or of some of them."""
+    def chosen(self, drawing: Drawing, which: slice | Int[np.ndarray, "near"]) -> bytes:
+        """A block of some of the capsules."""
         capsules, block = self.body(), np.zeros((), CAPSULES)
-        starts, ends = (points[chosen] for points in capsules.posed(drawing.bones[self.avatar]))
+        starts, ends = (points[which] for points in capsules.posed(drawing.bones[self.avatar]))
         along, count = ends - starts, len(starts)
-        block["capsule_start"][:count, :3], block["capsule_start"][:count, 3] = starts, capsules.radii[chosen]
+        block["capsule_start"][:count, :3], block["capsule_start"][:count, 3] = starts, capsules.radii[which]
         block["capsule_along"][:count, :3] = along
         block["capsule_along"][:count, 3] = 1 / np.maximum((along * along).sum(1), 1e-12)
         return block.tobytes()
@@ -102,10 +99,9 @@ def contact_of(draft: Draft, avatar: int) -> AvatarContact | None:
         out["spared"], out["rest"] = body().spared, body().rest
         return out
 
-    block = draft.buffer(f"{draft.tag(avatar)} capsules", CAPSULES.itemsize, avatar)
-    stored, normals = draft.vertices("contact", avatar, VERTEX.itemsize, vertices), normals_of(draft, avatar)
-    buffers = (stored, "1u4 1f4", "spared", "rest"), normals
-    return AvatarContact((block, stored, normals[0]), buffers, avatar, asked.strength, body, block)
+    stored = draft.vertices("contact", avatar, VERTEX.itemsize, vertices)
+    buffers = (stored, "1u4 1f4", "spared", "rest"), normals_of(draft, avatar)
+    return AvatarContact(buffers, (draft.block("Capsules", avatar),), avatar, asked.strength, body)
 
 
 @dataclass(frozen=True)
@@ -132,7 +128,7 @@ class ContactFloorPass(PassBehind):
         assert under is not None
         sheet, near = under
         resources = drawing.resources
-        drawing.bind(self.block, "Capsules", lambda: self.contact.content(drawing, near))
+        drawing.bind(self.block, "Capsules", lambda: self.contact.chosen(drawing, near))
         columns = np.stack([view[:3, 0], view[:3, 2], view[:3] @ np.append(sheet.anchor, 1.0)])
         set_uniforms(
             resources[self.found].program, view_from_plane=columns, up=tuple(view[:3, 1].tolist()), grown=GROWN,

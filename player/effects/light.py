@@ -1,5 +1,4 @@
-"""Avatars lit anew: by the light they were filmed in, which stays where it was as they turn, by none, by lamps, or by a
-panorama.
+"""Avatars lit anew: by the light they were filmed in, which stays as they turn, by none, by lamps, or by a panorama.
 
 An avatar's file keeps two things apart (avatar/light.py): its base color shows albedo in the light it was seen in on
 average. This draws no pass of its own; the passes that draw avatars take that light out and put this one in
@@ -134,8 +133,7 @@ def light_of(draft: Draft, avatar: int) -> tuple[AvatarLight | None, str]:
     seen = np.array((1.0, 0.0) if level.light is None else level.light, np.float32)
     vertices = draft.vertices("light", avatar, 8, lambda: np.broadcast_to(seen, (len(level.positions), 2)))
     gleams = light.gloss > 0 or (level.light is not None and bool(np.any(level.light[:, 1])))
-    normals = normals_of(draft, avatar)
-    buffers = (vertices, "2f4", "seen_light"), normals
+    buffers = (vertices, "2f4", "seen_light"), normals_of(draft, avatar)
     note = f", lit by ambient {light.ambient:.2f} and {plural(len(light.lamps), 'lamp')}"
     note += "" if own else "; its file has no light, its colors are taken for albedo"
-    return AvatarLight((vertices, normals[0]), buffers, light, gleams), note
+    return AvatarLight(buffers, (), light, gleams), note

@@ -213,7 +213,7 @@ class LooseMotion:
             self._v = np.clip(self._v, -SPEED_CAP * self.parts.unit, SPEED_CAP * self.parts.unit)
             return now
         self._x, self._aim = self._x - shift, self._aim - shift
-        before = before.moved(shift)
+        before = before._replace(targets=before.targets - shift, capsules=before.capsules - shift)
         way = now.targets - before.targets
         far2 = np.einsum("nc,nc->n", way, way)[:, None]
         if far2.max() > limit**2:

@@ -50,10 +50,6 @@ class DrivenPose(NamedTuple):
     lengths: Float[Array, "neighbours particles"]
     pull: Float[Array, "particles 3"]
 
-    def moved(self, shift: Float[Array, "3"]) -> "DrivenPose":
-        """The same seen from a pelvis that has moved."""
-        return self._replace(targets=self.targets - shift, capsules=self.capsules - shift)
-
 
 @dataclass(frozen=True)
 class LooseParts:

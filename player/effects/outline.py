@@ -10,7 +10,7 @@ import numpy as np
 
 from command.settings import RGBA, Above, AtMost, Color, settings
 from player.draw.drawing import Drawing, Layer, Warming
-from player.draw.plan import NONE_IN_VIEW, Decision, Draft, Pass, PassState, Stage
+from player.draw.plan import MARGIN, NONE_IN_VIEW, Decision, Draft, Pass, PassState, Stage
 from player.draw.posed_mesh import DrawnMesh, normals_of
 from player.draw.resources import PlanResources
 from player.effects.secondary_motion import loose_mesh
@@ -28,7 +28,7 @@ class Outline:
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         """One pass for all avatars, which share its color and width."""
-        draft.widen(ceil(self.width))
+        draft.margin = max(draft.margin, MARGIN + ceil(self.width))
         hulls = tuple(
             loose_mesh(draft, index, "outline.vert", "plain.frag", normals_of(draft, index))
             for index in range(len(draft.levels))

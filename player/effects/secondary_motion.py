@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-import moderngl
 import numpy as np
 
 from avatar.baked_avatar import Level
@@ -20,14 +19,12 @@ from command.settings import Above, AtLeast, AtMost, settings
 from player.draw.drawing import Drawing, FrameInputs, Pose
 from player.draw.plan import OUT_OF_VIEW, Absent, Addition, Attributes, Decision, Draft, Pass, PassState, Stage
 from player.draw.posed_mesh import DrawnMesh, drawn_mesh, posed_mesh
-from player.draw.resources import Handle, PlanResources
 from player.gl.blocks import LOOSE
 
 if TYPE_CHECKING:
     from player.effects.loose_motion import LooseMotion
 
 SMALLEST = 40  # pixels; of a smaller avatar it cannot be seen
-ATTRIBUTES = ("4u2 4f4", "near_particles", "follows")
 VERTEX = np.dtype([("near", "u2", 4), ("follows", "f4", 4)])
 SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {SMALLEST} pixels tall")
 AT_REST = Decision(PassState.SKIPPED, "at rest, as it is skinned")
@@ -63,24 +60,18 @@ class LooseOffsets(Addition):
     avatar: int
     # particles are found when it is first moved: most of a second
     motion: "Callable[[], LooseMotion]"
-    block: Handle[moderngl.Buffer]  # the offsets of this frame
 
     def shows(self, drawing: Drawing) -> bool:
         return self.motion().shows and drawing.height(self.avatar) >= SMALLEST
 
-    def bind(self, drawing: Drawing) -> None:
-        drawing.bind(self.block, "Loose", lambda: self._content(drawing))
-
-    def warm(self, resources: PlanResources) -> None:
-        resources.bind_zeros(self.block, "Loose")
-
-    def _content(self, drawing: Drawing) -> bytes:
-        block, motion = np.zeros((), LOOSE), self.motion()
+    def content(self, drawing: Drawing, block: str) -> bytes:
+        """The offsets of this frame."""
+        out, motion = np.zeros((), LOOSE), self.motion()
         # what is too small to be moved is drawn as it is skinned, by every pass
         if self.shows(drawing):
             turn = view_from_world(drawing.inputs.camera)[:3, :3]
-            block["loose_offset"][: len(motion.offsets), :3] = motion.offsets @ turn.T
-        return block.tobytes()
+            out["loose_offset"][: len(motion.offsets), :3] = motion.offsets @ turn.T
+        return out.tobytes()
 
 
 def is_loose(level: Level) -> bool:
@@ -110,9 +101,9 @@ def offsets_of(draft: Draft, avatar: int) -> LooseOffsets | None:
         out["near"], out["follows"] = parts.near, parts.follows
         return out
 
-    block = draft.buffer(f"{draft.tag(avatar)} loose offsets", LOOSE.itemsize, avatar)
     stored = draft.vertices("loose parts", avatar, VERTEX.itemsize, vertices)
-    return LooseOffsets((block, stored), ((stored, *ATTRIBUTES),), avatar, motion, block)
+    buffers = ((stored, "4u2 4f4", "near_particles", "follows"),)
+    return LooseOffsets(buffers, (draft.block("Loose", avatar),), avatar, motion)
 
 
 def loose_mesh(

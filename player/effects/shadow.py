@@ -115,8 +115,7 @@ class Footprint(NamedTuple):
 def footprint(drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
     """The rectangle of the ground that the avatars' shadow lies in; None: nothing is above it.
 
-    Its place goes by whole steps of texels, their size by quarters of a power of two: a body that moves on keeps the
-    grain of its outline.
+    Its place goes by steps of texels, their size by quarters of a power of two: a moving outline keeps its grain.
     """
     world_from_view = np.linalg.inv(view_from_world(drawing.inputs.camera))
     balls = [
@@ -197,10 +196,7 @@ class MaskPass(Pass):
         rows = self._rows(drawing, here)
         for program in {resources[one.array].program for one in self.meshes}:
             set_uniforms(program, mask_from_view=rows)
-        self._begin(resources)
-        for one in self.meshes:
-            one.draw(drawing)
-        drawing.gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
+        self._throw(resources, lambda one: one.draw(drawing))
         resources[self.shadow.mask.color].build_mipmaps()
         # the plane's metres to the whole of the target
         columns = np.array([[2 / here.across, 0, 0, 0], [0, 2 / here.across, 0, 0], [-1, -1, 0, 1]])
@@ -213,15 +209,13 @@ class MaskPass(Pass):
         resources.holds[self.shadow.mask.color] = self._wanted(drawing)
 
     def warm(self, warming: Warming) -> None:
-        self._begin(warming.resources)
-        for one in self.meshes:
-            one.warm(warming.resources)
-        warming.resources.context.gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
+        self._throw(warming.resources, lambda one: one.warm(warming.resources))
         self._draw_soft(warming.resources)
         # nothing that a frame would keep
         warming.resources.holds.pop(self.shadow.mask.color, None)
 
-    def _begin(self, resources: PlanResources) -> None:
+    def _throw(self, resources: PlanResources, draw: Callable[[DrawnMesh], None]) -> None:
+        """The avatars into the mask."""
         gl, target = resources.context.gl, resources[self.shadow.mask.framebuffer]
         target.use()
         target.clear()
@@ -229,6 +223,9 @@ class MaskPass(Pass):
         # the lowest that is in the way, whatever the order of triangles
         gl.blend_func = (moderngl.ONE, moderngl.ONE)
         gl.blend_equation = moderngl.MAX, moderngl.MAX
+        for one in self.meshes:
+            draw(one)
+        gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
 
     def _draw_soft(self, resources: PlanResources) -> None:
         target = resources[self.shadow.soft.framebuffer]
