@@ -19,11 +19,9 @@ from jaxtyping import UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, clip_from_view
 from avatar.gltf.avatar_file import read_avatar
-from avatar.skeleton import JOINTS
 from bench.ladder.effects import ABOVE, FRAMES, SIDE, SIZE, Case, Drawn
 from bench.ladder.machine import times_of
 from bench.ladder.rung_scores import median_interval
-from player.budget.rung import MOST_JOINTS
 from player.draw.drawing import GivenPose
 from player.draw.mesh import attributes_read, draw_order, interleaved
 from player.draw.posed_mesh import BASE
@@ -49,13 +47,9 @@ class BareProgram:
     def __init__(self, context: Context, avatar: Avatar, size: tuple[int, int], color: Color):
         context.make_current()
         gl, level = context.gl, avatar.levels[0]
-        counted = {}
-        if level.influences < MOST_JOINTS:
-            counted["influence_count.glsl"] = f"const int INFLUENCES = {level.influences};\n"
-        if level.bones != len(JOINTS):
-            counted["bone_count.glsl"] = f"const int BONE_COUNT = {level.bones};\n"
+        counts = f"const int BONE_COUNT = {level.bones}, INFLUENCES = {level.influences};\n"
         self.gl, self.color, self.poser = gl, color, Poser(avatar, level)
-        self.program = compile_program(gl, "avatar.vert", "avatar.frag", PLAIN_SHADER, counted)
+        self.program = compile_program(gl, "avatar.vert", "avatar.frag", PLAIN_SHADER, {"counts.glsl": counts})
         for block in BINDING:
             bind_block(self.program, block, level.bones)
         sampler = self.program["base_color"]
@@ -67,8 +61,7 @@ class BareProgram:
         self.frame = gl.buffer(reserve=FRAME.itemsize)
         self.bones = gl.buffer(reserve=block_bytes("Bones", level.bones))
         self.texture = image_texture(context, level.base_color)
-        if context.software:
-            read_finer_mip(context, self.texture)
+        read_finer_mip(context, self.texture)
         self.target = gl.framebuffer([gl.renderbuffer(size, 4)], gl.depth_renderbuffer(size))
 
     def draw(self, pose: GivenPose, camera: Camera) -> None:

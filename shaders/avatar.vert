@@ -1,29 +1,16 @@
 #version 330
-// A posed avatar. SKINNING: 0 linear blend, 1 dual quaternions.
+// A posed avatar; SKINNING, LOOSE and FACE as in posed.glsl.
 // VIEW_STAGE: 0 paper mode, 1 view dependence per vertex, 2 per pixel.
 // LIT: 0 the light of the videos is in the colours; the surface is lit anew (light.glsl): 1 without highlights, 2 with
 // them, 3 with them and in a power of the colours.
-// CONTACT: 1 limbs that come near darken it (contact.glsl). LOOSE, FACE: 1 hair and skirts, the face move (*.glsl).
+// CONTACT: 1 limbs that come near darken it (contact.glsl).
 // VIEW_MODEL: see view_model.glsl (asked only when VIEW_STAGE is not 0).
 #include "frame.glsl"
-#if SKINNING == 0
-#include "skinning.glsl"
-#else
-#include "skinning_dual.glsl"
-#endif
-#include "face.glsl"
+#include "posed.glsl"
 
-in vec3 position;   // canonical (big pose), metres
-in vec2 uv;         // v down
-in uvec4 joints;    // heaviest first
-in vec4 weights;    // sum to 1
+in vec2 uv;  // v down
 
 out vec2 surface_uv;
-#if LOOSE != 0
-#include "loose.glsl"
-in uvec4 near_particles;
-in vec4 follows;
-#endif
 
 #if LIT != 0
 #include "directions.glsl"
@@ -55,28 +42,22 @@ in vec3 view_q0;    // cone: xx xy xz
 in vec3 view_q1;    //       yy yz zz
 in float view_seen; // 0 = never seen
 #include "view_cone.glsl"
-#endif
-
 #if VIEW_STAGE == 1
 #include "view_model.glsl"
 out vec3 residual;
-#endif
-
-#if VIEW_STAGE == 2
+#else
 // It is smooth over a triangle, unlike what the network makes of it: interpolated, pictures are 68 dB from those with
 // all four of its ingredients interpolated (30k triangles; 62 dB at 3k), and cost 8 % less in software.
 out vec3 tangent;
 #endif
+#endif
 
 void main() {
-    vec3 position_skinned = skinned(faced(position), joints, weights), position_view = position_skinned;
-#if LOOSE != 0
-    position_view += loosened(near_particles, follows);
-#endif
+    vec3 position_view = posed();
     gl_Position = clip_from_view * vec4(position_view, 1.0);
     surface_uv = uv;
 #if CONTACT != 0
-    vec3 normal_view = skinned(faced(position) + faced_normal(normal), joints, weights) - position_skinned;
+    vec3 normal_view = posed_normal(normal);
     normal_view *= inversesqrt(max(dot(normal_view, normal_view), 1e-12));
     float open = open_sky(position_view, normal_view, spared, 1.0, 0, 16) / max(rest, 1e-3);
     openness = 1.0 - darkening * (1.0 - clamp(open, 0.0, 1.0));
@@ -89,11 +70,11 @@ void main() {
 #endif
 #if VIEW_STAGE != 0
     vec3 direction_canonical = turned_back(blended_turn(joints, weights), unit(position_view));
-#endif
+    vec3 off_mean = cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen);
 #if VIEW_STAGE == 1
-    residual = view_residual_at(uv, cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen));
+    residual = view_residual_at(uv, off_mean);
+#else
+    tangent = off_mean;
 #endif
-#if VIEW_STAGE == 2
-    tangent = cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen);
 #endif
 }

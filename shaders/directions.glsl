@@ -6,35 +6,33 @@
 // The blend stays orthonormal where the blended matrix flattens (a forearm twisted by 180 degrees), and cannot
 // vanish: the heaviest term has weight >= 1/4 and no other term points away from it. joints.x is the heaviest
 // bone; the loader sorts. Quaternions are xyzw.
-#include "bone_count.glsl"
-#include "influence_count.glsl"
+#include "counts.glsl"
 
 // rotations of the bones of the one avatar that is drawn; mirrored by player/gl/blocks.py, TURNS
 layout(std140) uniform Turns {
     vec4 view_from_canonical_q[BONE_COUNT];
 };
 
-vec4 turn_of(uint joint) {
-    return view_from_canonical_q[joint];
+// w_k s_k
+vec4 signed_weights(uvec4 joints, vec4 weights) {
+    vec4 heaviest = view_from_canonical_q[joints.x];
+    if (INFLUENCES > 1 && dot(view_from_canonical_q[joints.y], heaviest) < 0.0) weights.y = -weights.y;
+    if (INFLUENCES > 2 && dot(view_from_canonical_q[joints.z], heaviest) < 0.0) weights.z = -weights.z;
+    if (INFLUENCES > 3 && dot(view_from_canonical_q[joints.w], heaviest) < 0.0) weights.w = -weights.w;
+    return weights;
+}
+
+// sum_k w_k q_k, of signed weights
+vec4 summed_turns(uvec4 joints, vec4 weights) {
+    vec4 sum = weights.x * view_from_canonical_q[joints.x];
+    if (INFLUENCES > 1) sum += weights.y * view_from_canonical_q[joints.y];
+    if (INFLUENCES > 2) sum += weights.z * view_from_canonical_q[joints.z];
+    if (INFLUENCES > 3) sum += weights.w * view_from_canonical_q[joints.w];
+    return sum;
 }
 
 vec4 blended_turn(uvec4 joints, vec4 weights) {
-    vec4 heaviest = turn_of(joints.x);
-    vec4 sum = weights.x * heaviest;
-    vec4 q;
-    if (INFLUENCES > 1) {
-        q = turn_of(joints.y);
-        sum += (dot(q, heaviest) < 0.0 ? -weights.y : weights.y) * q;
-    }
-    if (INFLUENCES > 2) {
-        q = turn_of(joints.z);
-        sum += (dot(q, heaviest) < 0.0 ? -weights.z : weights.z) * q;
-    }
-    if (INFLUENCES > 3) {
-        q = turn_of(joints.w);
-        sum += (dot(q, heaviest) < 0.0 ? -weights.w : weights.w) * q;
-    }
-    return normalize(sum);
+    return normalize(summed_turns(joints, signed_weights(joints, weights)));
 }
 
 // R(q)^T v:  v + 2 q_w (v x q) + 2 (v x q) x q

@@ -13,33 +13,12 @@ layout(std140) uniform Duals {
     vec4 view_from_canonical_d[BONE_COUNT];
 };
 
-vec4 dual_of(uint joint) {
-    return view_from_canonical_d[joint];
-}
-
 vec3 skinned(vec3 point, uvec4 joints, vec4 weights) {
-    vec4 heaviest = turn_of(joints.x);
-    vec4 r = weights.x * heaviest, d = weights.x * dual_of(joints.x);
-    vec4 q;
-    float w;
-    if (INFLUENCES > 1) {
-        q = turn_of(joints.y);
-        w = dot(q, heaviest) < 0.0 ? -weights.y : weights.y;
-        r += w * q;
-        d += w * dual_of(joints.y);
-    }
-    if (INFLUENCES > 2) {
-        q = turn_of(joints.z);
-        w = dot(q, heaviest) < 0.0 ? -weights.z : weights.z;
-        r += w * q;
-        d += w * dual_of(joints.z);
-    }
-    if (INFLUENCES > 3) {
-        q = turn_of(joints.w);
-        w = dot(q, heaviest) < 0.0 ? -weights.w : weights.w;
-        r += w * q;
-        d += w * dual_of(joints.w);
-    }
+    vec4 w = signed_weights(joints, weights), r = summed_turns(joints, w);
+    vec4 d = w.x * view_from_canonical_d[joints.x];
+    if (INFLUENCES > 1) d += w.y * view_from_canonical_d[joints.y];
+    if (INFLUENCES > 2) d += w.z * view_from_canonical_d[joints.z];
+    if (INFLUENCES > 3) d += w.w * view_from_canonical_d[joints.w];
     float shrink = inversesqrt(dot(r, r));
     r *= shrink;
     d *= shrink;

@@ -84,7 +84,6 @@ class Drawing:
     planes: tuple[float, float] | None  # near and far, metres; None: no avatar is in view
     # how far each avatar's loose parts are from where they are skinned to, at most; metres
     reaches: list[float]
-    _written: set[Handle[moderngl.Buffer]] = field(default_factory=set)
     _begun: bool = False
     _found: dict[Hashable, Any] = field(default_factory=dict)
 
@@ -129,16 +128,11 @@ class Drawing:
             self._found[key] = find()
         return self._found[key]
 
-    def write(self, handle: Handle[moderngl.Buffer], content: Callable[[], bytes | np.ndarray]) -> moderngl.Buffer:
-        """The buffer, with its content of this frame: written by the first pass that reads it."""
-        buffer = self.resources[handle]
-        if handle not in self._written:
-            self._written.add(handle)
-            buffer.write(content())
-        return buffer
-
     def bind(self, handle: Handle[moderngl.Buffer], block: str, content: Callable[[], bytes | np.ndarray]) -> None:
-        self.write(handle, content).bind_to_uniform_block(BINDING[block][1])
+        """A uniform block with its content of this frame, written by the first pass that reads it."""
+        buffer = self.resources[handle]
+        self.once((block, handle), lambda: buffer.write(content()))
+        buffer.bind_to_uniform_block(BINDING[block][1])
 
     def enter(self, layer: Layer) -> None:
         """Draw on the layer of avatars, with depth and culling, in this frame's projection."""

@@ -23,7 +23,7 @@ from avatar.face import REST, SHAPES, Eye, FaceFrame, eye_turn
 from avatar.gaze import within_reach
 from avatar.skeleton import JOINT_NUMBERS
 from player.draw.drawing import Drawing, FrameInputs, Pose
-from player.draw.plan import FACE_UNIT, Attributes, Decision, Draft, Pass, PassState, vertex_order
+from player.draw.plan import FACE_UNIT, OUT_OF_VIEW, Addition, Decision, Draft, Pass, PassState
 from player.draw.posing import PosedBones
 from player.draw.resources import AnyHandle, Handle, PlanResources
 
@@ -33,7 +33,6 @@ SMALLEST = 40  # pixels; the face of a smaller head is drawn at rest
 IDENTITY = np.eye(3)
 WIDTH = 64  # texels of a row, shaders/face.glsl
 AT_REST = Decision(PassState.SKIPPED, "at rest")
-OUT_OF_VIEW = Decision(PassState.SKIPPED, "out of view")
 SMALL = Decision(PassState.SKIPPED, f"the head is less than {SMALLEST} pixels tall")
 
 
@@ -131,21 +130,16 @@ class FaceMotion:
 
 
 @dataclass(frozen=True)
-class FaceOffsets:
+class FaceOffsets(Addition):
     """One avatar's face in a plan."""
 
     avatar: int
     motion: FaceMotion
     texture: Handle[moderngl.Texture]
-    slots: Handle[moderngl.Buffer]
 
     @property
     def handles(self) -> tuple[AnyHandle, ...]:
-        return self.texture, self.slots
-
-    @property
-    def buffer(self) -> Attributes:
-        return self.slots, "1u4", "face_slot"
+        return (*super().handles, self.texture)
 
     def frame(self, drawing: Drawing) -> FaceFrame:
         """What the face does in this frame, as far as it can be seen."""
@@ -163,24 +157,21 @@ class FaceOffsets:
 
 def face_of(draft: Draft, avatar: int, level: int) -> FaceOffsets | None:
     """An avatar's face at a level of detail; None: it has not moved yet, or the level has none."""
-    who, tag = draft.avatars[avatar], draft.tag(avatar)
+    who = draft.avatars[avatar]
     mesh, eyes = who.level(level), who.eyes
     if avatar not in draft.faces or mesh.face is None or eyes is None:
         return None
     motion = draft.keep(("face", avatar, level), lambda: FaceMotion(mesh, eyes))
-    rows, first = motion.blend.rows, draft.first(avatar)
+    rows = motion.blend.rows
 
     def make(made: PlanResources) -> moderngl.Texture:
         texture = made.context.gl.texture((WIDTH, rows), 4, bytes(16 * WIDTH * rows), dtype="f4")
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         return texture
 
-    texture = draft.texture(f"{tag} face", 16 * WIDTH * rows, avatar, level, make=make)
-    slots = draft.buffer(
-        f"{draft.tag(first)} face slots", 4 * len(mesh.positions), first, level,
-        content=lambda made: motion.blend.slots[vertex_order(made, mesh)[0]].tobytes(),
-    )  # fmt: skip
-    return FaceOffsets(avatar, motion, texture, slots)
+    texture = draft.texture(f"{draft.tag(avatar)} face", 16 * WIDTH * rows, avatar, level, make=make)
+    slots = draft.vertices("face slots", avatar, 4, lambda: motion.blend.slots, level)
+    return FaceOffsets(((slots, "1u4", "face_slot"),), (), avatar, motion, texture)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from avatar.skeleton import JOINTS
 from player.draw.drawing import Drawing, FrameInputs, Layer, Pose, Warming
 from player.draw.mesh import attributes_read, draw_order
 from player.draw.resources import AnyHandle, Handle, Image, PlanResources
-from player.gl.blocks import BINDING, FRAME, bind_block
+from player.gl.blocks import BINDING, FRAME, bind_block, block_bytes
 from player.gl.shader import compile_program
 from player.gl.tiles import Patches
 
@@ -73,6 +73,10 @@ class Decision(NamedTuple):
         return self.state is PassState.RUNS
 
 
+OUT_OF_VIEW = Decision(PassState.SKIPPED, "out of view")
+NONE_IN_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
+
+
 @dataclass(frozen=True)
 class Pass(ABC):
     """One step of a frame. The renderer knows an effect by these verbs alone; all but the first two may stay empty."""
@@ -102,6 +106,42 @@ class Pass(ABC):
     def cost(self, drawn: float, inputs: FrameInputs, frame: Callable[[], float]) -> float:
         """Milliseconds it costs, of those that drawing it takes and those of a whole frame, which `frame` measures."""
         return drawn
+
+
+@dataclass(frozen=True)
+class Addition:
+    """What a program that draws an avatar reads, and what effects add to that: it knows them by these verbs alone."""
+
+    # attributes of the vertices
+    buffers: tuple[Attributes, ...]
+    # uniform blocks by their names
+    blocks: tuple[tuple[str, Handle[moderngl.Buffer]], ...]
+
+    @property
+    def handles(self) -> tuple[AnyHandle, ...]:
+        """All it reads."""
+        return (*(handle for _, handle in self.blocks), *(buffer[0] for buffer in self.buffers))
+
+    def shows(self, drawing: Drawing) -> bool:
+        """Whether it can be seen in this frame."""
+        return True
+
+    def content(self, drawing: Drawing, block: str) -> bytes | np.ndarray:
+        """What one of its blocks holds in this frame."""
+        raise AssertionError("it has no block")
+
+    def bind(self, drawing: Drawing) -> None:
+        """Bring what it is in this frame to the GPU, unless another pass has, and bind it."""
+        for name, handle in self.blocks:
+            drawing.bind(handle, name, lambda: self.content(drawing, name))
+
+    def apply(self, drawing: Drawing, program: moderngl.Program) -> None:
+        """Give a program its uniforms."""
+
+    def warm(self, resources: PlanResources) -> None:
+        """Bind what adds nothing."""
+        for name, handle in self.blocks:
+            resources.bind_zeros(handle, name)
 
 
 @runtime_checkable
@@ -172,12 +212,10 @@ class Canvas:
 
 
 class Draft:
-    """A plan being written. Effects are asked from the last to the first: one that filters the picture says where
-    those before it draw.
+    """A plan being written. Effects are asked from the last to the first: a filter says where those before it draw.
 
-    avatars, detail: who is drawn, and the number of the level of detail of each; dual: with dual quaternions. `effects`
-    are all that the scene asks for, the background among them; `kept` is what an earlier plan kept; `faces` are the
-    avatars whose face has moved.
+    avatars, detail: who is drawn, and the number of each one's level of detail; dual: with dual quaternions. `effects`
+    are all that the scene asks for, the background too; `kept` is an earlier plan's; `faces`: whose face has moved.
     """
 
     def __init__(
@@ -197,6 +235,7 @@ class Draft:
         self.layer = Layer()
         self.image: Image | None = None
         self.background: Image | None = None
+        # pixels round an avatar's surface that an effect can draw on
         self.margin = MARGIN
         self.views: dict[int, str] = {}
         self.moved: set[int] = set()
@@ -240,10 +279,6 @@ class Draft:
         image = self.layer.image or self.image
         return (*(() if image is None else image.handles), self.frame)
 
-    def widen(self, pixels: int) -> None:
-        """An effect draws so far round an avatar's surface."""
-        self.margin = max(self.margin, MARGIN + pixels)
-
     def buffer(
         self, name: str, size: int, *depends_on: Hashable, content: Callable[[PlanResources], bytes] | None = None
     ) -> Handle[moderngl.Buffer]:
@@ -256,14 +291,21 @@ class Draft:
         return self.need(Handle(moderngl.Buffer, name, size, depends_on, make))
 
     def vertices(
-        self, name: str, avatar: int, item_bytes: int, content: Callable[[], np.ndarray]
+        self, name: str, avatar: int, item_bytes: int, content: Callable[[], np.ndarray], level: int | None = None
     ) -> Handle[moderngl.Buffer]:
-        """What an avatar's vertices hold, given in the file's order; made once for avatars that are the same."""
-        level, first = self.levels[avatar], self.first(avatar)
+        """What an avatar's vertices hold, given in the file's order, at the plan's level of detail or another; made
+        once for avatars that are the same."""
+        first, number = self.first(avatar), self.detail[avatar] if level is None else level
+        mesh = self.avatars[avatar].level(number)
         return self.buffer(
-            f"{self.tag(first)} {name}", item_bytes * len(level.positions), first, self.detail[avatar],
-            content=lambda made: content()[vertex_order(made, level)[0]].tobytes(),
+            f"{self.tag(first)} {name}", item_bytes * len(mesh.positions), first, number,
+            content=lambda made: content()[vertex_order(made, mesh)[0]].tobytes(),
         )  # fmt: skip
+
+    def block(self, name: str, avatar: int) -> tuple[str, Handle[moderngl.Buffer]]:
+        """A uniform block of one avatar, to be written in each frame."""
+        size = block_bytes(name, self.bones)
+        return name, self.buffer(f"{self.tag(avatar)} {name.lower()}", size, avatar)
 
     def texture(
         self, name: str, size: int, *depends_on: Hashable, make: Callable[[PlanResources], moderngl.Texture]
@@ -277,13 +319,11 @@ class Draft:
         """Two shaders in a variant. A sampler reads the texture unit of its place among `samplers`. `constants` are
         includes written for one avatar; without them avatars share the program."""
 
-        counted = {} if self.bones == len(JOINTS) else {"bone_count.glsl": f"const int BONE_COUNT = {self.bones};\n"}
-        if self.influences < 4:
-            counted["influence_count.glsl"] = f"const int INFLUENCES = {self.influences};\n"
+        counts = f"const int BONE_COUNT = {self.bones}, INFLUENCES = {self.influences};\n"
 
         def make(resources: PlanResources) -> moderngl.Program:
             """Compile it, and give its blocks and samplers their places."""
-            generated = {**constants(), **counted}
+            generated = {**constants(), "counts.glsl": counts}
             program = compile_program(resources.context.gl, vertex, fragment, defines, generated)
             for block in BINDING:
                 bind_block(program, block, self.bones)
@@ -293,7 +333,7 @@ class Draft:
                     found.value = unit
             return program
 
-        depends_on = (vertex, fragment, avatar, *defines.items(), *counted.values())
+        depends_on = (vertex, fragment, avatar, *defines.items(), counts)
         return self.need(Handle(moderngl.Program, f"{vertex} {fragment}", 0, depends_on, make))
 
     def array(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar, Level
-from avatar.camera import Camera
+from avatar.camera import Camera, view_from_world
 from avatar.helper_joints import HelperJoints
 from avatar.skeleton import joint_transforms, rigid_inverse, skin_transforms
 from avatar.skinning import skin_points
@@ -44,8 +44,7 @@ class ScreenBounds(NamedTuple):
 
 
 class Poser:
-    """Bones of one avatar; keeps what does not change from frame to frame. Its spheres hold the surface at all these
-    levels of detail."""
+    """Bones of one avatar; keeps what no frame changes. Its spheres hold the surface at all these levels of detail."""
 
     def __init__(self, avatar: Avatar, *levels: Level):
         self.joints = avatar.joint_positions.astype(np.float64)
@@ -74,8 +73,8 @@ class Poser:
         """
         if not (np.isfinite(axis_angle).all() and np.isfinite(root).all()):
             raise ValueError("the pose holds a number that is not finite")
-        view_from_world = camera.camera_from_world * _VIEW_FROM_CAMERA
-        view_from_joint = self._with_helpers(axis_angle, self.chain.transforms(axis_angle, root, view_from_world))
+        view_from_joint = self.chain.transforms(axis_angle, root, view_from_world(camera))
+        view_from_joint = self._with_helpers(axis_angle, view_from_joint)
         return PosedBones(view_from_joint @ self.joint_from_canonical, view_from_joint[:, :3, 3], self.radii)
 
     def _with_helpers(
@@ -106,10 +105,6 @@ def screen_bounds(bones: PosedBones, camera: Camera) -> ScreenBounds:
     depth = np.array([(-centers[:, 2] - radii).min(), (radii - centers[:, 2]).max()])
     boxes = ball_boxes(centers, radii, camera)
     return ScreenBounds(depth, np.concatenate([boxes[:, :2].min(0), boxes[:, 2:].max(0)]))
-
-
-# OpenGL looks down -z with +y up
-_VIEW_FROM_CAMERA = np.array([[1.0], [-1.0], [-1.0], [1.0]])
 
 
 def posed_vertices(avatar: Avatar, level: Level, pose: Sequence[np.ndarray]) -> Float[np.ndarray, "vertices 3"]:

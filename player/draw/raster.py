@@ -47,8 +47,8 @@ class Rasteriser:
         context.make_current()
         self.context = context
         self.program = compile_program(context.gl, "raster.vert", "raster.frag")
-        self.vertices: moderngl.Buffer | None = None
-        self.vertex_array: moderngl.VertexArray | None = None
+        self.vertices = context.gl.buffer(reserve=1 << 16, dynamic=True)
+        self.vertex_array = context.gl.vertex_array(self.program, [(self.vertices, "3f4", "position_view")])
         self.target: moderngl.Framebuffer | None = None
 
     def draw(
@@ -78,15 +78,16 @@ class Rasteriser:
         if planes is not None:
             self.context.make_current()
             gl = self.context.gl
-            self._use_target((width, height))
-            self._use_vertices(points.astype(np.float32)[faces])
-            assert self.vertex_array is not None and self.target is not None
+            target, corners = self._used_target((width, height)), points.astype(np.float32)[faces]
+            if self.vertices.size < corners.nbytes:
+                self.vertices.orphan(corners.nbytes)
+            self.vertices.write(np.ascontiguousarray(corners))
             set_uniforms(self.program, clip_from_view=clip_from_view(camera, *planes).T)
             gl.enable_only(moderngl.DEPTH_TEST | (moderngl.CULL_FACE if cull else 0))
             gl.front_face, gl.cull_face = "ccw", "back"
-            self.target.clear()
+            target.clear()
             self.vertex_array.render(moderngl.TRIANGLES, vertices=3 * len(faces))
-            raw = np.frombuffer(self.target.read(components=4, dtype="f4"), np.float32).reshape(raw.shape)[::-1]
+            raw = np.frombuffer(target.read(components=4, dtype="f4"), np.float32).reshape(raw.shape)[::-1]
         face = raw[..., 0].astype(np.int32) - 1
         hit = face >= 0
         barycentric = np.empty((height, width, 3), np.float32)
@@ -98,32 +99,22 @@ class Rasteriser:
         self.context.make_current()
         self.context.leave_framebuffer()
         for thing in (self.vertex_array, self.vertices, self.program):
-            if thing is not None:
-                thing.release()
-        self._free_target(self.target)
-        self.target = self.vertices = self.vertex_array = None
+            thing.release()
+        self._free_target()
 
-    def _use_target(self, size: tuple[int, int]) -> None:
+    def _used_target(self, size: tuple[int, int]) -> moderngl.Framebuffer:
         if self.target is None or self.target.size != size:
-            gl, old = self.context.gl, self.target
+            self.context.leave_framebuffer()
+            self._free_target()
+            gl = self.context.gl
             self.target = gl.framebuffer([gl.renderbuffer(size, 4, dtype="f4")], gl.depth_renderbuffer(size))
-            self.target.use()
-            self._free_target(old)
         self.target.use()
+        return self.target
 
-    def _free_target(self, target: moderngl.Framebuffer | None) -> None:
-        if target is not None:
-            attachments = [*target.color_attachments, target.depth_attachment]
-            target.release()  # leaves its attachments alive
+    def _free_target(self) -> None:
+        if self.target is not None:
+            attachments = [*self.target.color_attachments, self.target.depth_attachment]
+            self.target.release()  # leaves its attachments alive
             for attachment in attachments:
                 attachment.release()
-
-    def _use_vertices(self, corners: Float[np.ndarray, "faces 3 3"]) -> None:
-        if self.vertices is None or self.vertices.size < corners.nbytes:
-            if self.vertices is not None and self.vertex_array is not None:
-                self.vertex_array.release()
-                self.vertices.release()
-            gl = self.context.gl
-            self.vertices = gl.buffer(reserve=max(corners.nbytes, 1 << 16), dynamic=True)
-            self.vertex_array = gl.vertex_array(self.program, [(self.vertices, "3f4", "position_view")])
-        self.vertices.write(np.ascontiguousarray(corners))
+            self.target = None

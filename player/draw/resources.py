@@ -62,6 +62,8 @@ class PlanResources:
     def __init__(self, context: Context):
         self.context = context
         self._made: dict[AnyHandle, Any] = {}
+        # what a pass drew into an object that it keeps from frame to frame, in the pass's own terms
+        self.holds: dict[AnyHandle, Hashable] = {}
         # what making several objects shares
         self._shared: dict[Hashable, Any] = {}
 
@@ -75,6 +77,7 @@ class PlanResources:
         self.context.leave_framebuffer()
         for handle in reversed([handle for handle in self._made if handle not in wanted]):
             self._made.pop(handle).release()
+            self.holds.pop(handle, None)
         new = [handle for handle in wanted if handle not in self._made]
         for handle in new:
             self._made[handle] = handle.make(self)

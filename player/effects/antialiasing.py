@@ -8,15 +8,13 @@ import moderngl
 import numpy as np
 
 from player.draw.drawing import Drawing, Layer, Warming
-from player.draw.plan import SAMPLES, Absent, Decision, Draft, Pass, PassState, Stage
+from player.draw.plan import NONE_IN_VIEW, SAMPLES, Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Handle, Image, PlanResources
 from player.gl.shader import set_uniforms
 from player.gl.tiles import TILE, Patches, covered, rectangles
 
-OUT_OF_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
 FILTERED = Decision(PassState.RUNS, "on the tiles that avatars reach")
 RESOLVED = Decision(PassState.RUNS, f"{SAMPLES} samples, resolved on the avatars' box")
-TILES = ("4u2 /i", "tile")  # left, first row, right, end row
 
 
 @dataclass(frozen=True)
@@ -40,10 +38,9 @@ class Fxaa:
         draft.layer = Layer(image, lambda drawing: drawing.resources[image.framebuffer].clear())
         tiles = draft.buffer("fxaa tiles", 8 * -(-size[0] // TILE) * -(-size[1] // TILE), *size)
         program = draft.program("tiles.vert", "fxaa.frag", samplers=("picture", "depth"))
-        array = draft.array(program, (tiles, *TILES))
-        patches = draft.patches()
+        array = draft.array(program, (tiles, "4u2 /i", "tile"))
         uses = (*output, *image.handles, tiles, array)
-        return (FxaaPass("antialiasing: fxaa", uses, image, tiles, program, array, patches, draft.dual),)
+        return (FxaaPass("antialiasing: fxaa", uses, image, tiles, array, draft.patches(), draft.dual),)
 
 
 @dataclass(frozen=True)
@@ -52,13 +49,12 @@ class FxaaPass(Pass):
 
     image: Image
     tiles: Handle[moderngl.Buffer]
-    program: Handle[moderngl.Program]
     array: Handle[moderngl.VertexArray]
     patches: Callable[[], list[Patches]]
     dual: bool
 
     def decide(self, drawing: Drawing) -> Decision:
-        return FILTERED if any(drawing.visible) else OUT_OF_VIEW
+        return FILTERED if any(drawing.visible) else NONE_IN_VIEW
 
     def draw(self, drawing: Drawing) -> None:
         """The tiles that avatars reach, filtered."""
@@ -86,7 +82,7 @@ class FxaaPass(Pass):
             self._filter(resources, 1)
 
     def _filter(self, resources: PlanResources, count: int) -> None:
-        set_uniforms(resources[self.program], image_size=self.image.size)
+        set_uniforms(resources[self.array].program, image_size=self.image.size)
         for unit, texture in enumerate(self.image.attachments):
             resources[texture].use(unit)
         resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=count)
@@ -136,7 +132,7 @@ class MsaaPass(Pass):
     resolved: Image
 
     def decide(self, drawing: Drawing) -> Decision:
-        return RESOLVED if any(drawing.visible) else OUT_OF_VIEW
+        return RESOLVED if any(drawing.visible) else NONE_IN_VIEW
 
     def draw(self, drawing: Drawing) -> None:
         """The mean of the samples, where avatars are."""

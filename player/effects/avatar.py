@@ -1,21 +1,27 @@
 """Avatars in the paper's colors, where color depends on the surface point alone (the global direction of Eq. 14), or
 with view dependence: the network or the linear model of the file changes them with the direction of view, per vertex or
-per pixel."""
+per pixel.
 
-from collections.abc import Sequence
+Its program is varied by what a scene calls for: other light, contact darkening, loose parts. What cannot show in a
+frame leaves it with the program that never heard of it.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import moderngl
 
 from avatar.baked_avatar import Avatar
+from player.draw.drawing import Drawing, Layer, Warming
 from player.draw.face import FacePass, face_of
 from player.draw.mesh import VIEW_VERTEX, view_interleaved
-from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
-from player.draw.posed_mesh import posed_mesh
-from player.draw.resources import Handle, PlanResources
-from player.effects.light import light_on
-from player.effects.shaded import MIN_HEIGHT, AvatarPass, shading_of
+from player.draw.plan import OUT_OF_VIEW, Absent, Attributes, Decision, Draft, Pass, PassState, Stage
+from player.draw.posed_mesh import DrawnMesh, drawn_mesh, posed_mesh
+from player.draw.resources import AnyHandle, Handle, PlanResources
+from player.effects.contact import contact_of
+from player.effects.light import light_of
+from player.effects.secondary_motion import offsets_of
 from player.gl.constants import avatar_constants
 from player.gl.texture import image_texture, mipmapped_bytes, read_finer_mip
 
@@ -23,6 +29,9 @@ VIEWS = ("off", "vertex", "linear", "network")
 STAGE = {"off": 0, "vertex": 1, "linear": 2, "network": 2}
 ATTRIBUTES = ("3f4 3f4 3f4 1f4", "view_mean", "view_q0", "view_q1", "view_seen")
 SAMPLERS = ("base_color", "features")
+MIN_HEIGHT = 40  # pixels; view dependence of a smaller avatar cannot be seen
+TOO_SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {MIN_HEIGHT} pixels tall")
+VIEW_DRAWS_IT = Decision(PassState.SKIPPED, "the view pass draws this avatar")
 
 
 @dataclass(frozen=True)
@@ -46,28 +55,98 @@ class Avatars:
         return passes
 
 
+@dataclass(frozen=True)
+class AvatarPass(Pass):
+    """One avatar, in the colors of its texture or with view dependence."""
+
+    layer: Layer
+    # from all that is asked for to none of it
+    variants: tuple[DrawnMesh, ...]
+    # by unit: base color, features, more features
+    textures: tuple[Handle[moderngl.Texture], ...]
+    running: Decision
+    # the pass that draws the avatar instead, where it can show; None: it is that pass, or there is none
+    instead: "AvatarPass | None" = None
+    min_height: int = 0  # pixels
+
+    def decide(self, drawing: Drawing) -> Decision:
+        avatar = self.variants[0].mesh.avatar
+        if not drawing.visible[avatar]:
+            return OUT_OF_VIEW
+        if self.instead is not None and self.instead.decide(drawing).runs:
+            return VIEW_DRAWS_IT
+        return self.running if drawing.height(avatar) >= self.min_height else TOO_SMALL
+
+    def draw(self, drawing: Drawing) -> None:
+        drawing.enter(self.layer)
+        self._bind(drawing.resources)
+        next(variant for variant in self.variants if variant.shows(drawing)).draw(drawing)
+
+    def warm(self, warming: Warming) -> None:
+        if warming.enter(self.layer):
+            self._bind(warming.resources)
+            for variant in self.variants:
+                variant.warm(warming.resources)
+
+    def _bind(self, resources: PlanResources) -> None:
+        for unit, texture in enumerate(self.textures):
+            resources[texture].use(unit)
+
+
+class Variants(NamedTuple):
+    """One avatar as a scene calls for it."""
+
+    # from all that is asked for to none of it, darkened where contact can be seen and moved where loose parts are
+    meshes: tuple[DrawnMesh, ...]
+    # all that they read and write, each object once
+    uses: tuple[AnyHandle, ...]
+    # for people: the end of a pass's reason
+    note: str
+
+
+def variants_of(draft: Draft, who: int, view_stage: int, *more: Attributes, **program: Any) -> Variants:
+    """view_stage: VIEW_STAGE of avatar.vert; more: further attributes of the vertices; program: as `Draft.program`."""
+    (light, note), contact, loose = light_of(draft, who), contact_of(draft, who), offsets_of(draft, who)
+    mesh = posed_mesh(draft, who, directions=light is not None or view_stage > 0)
+    lit, face = 0 if light is None else light.variant, int(mesh.face is not None)
+    meshes = []
+    for touch in dict.fromkeys((contact, None)):
+        for moved in dict.fromkeys((loose, None)):
+            made = draft.program(
+                "avatar.vert", "avatar.frag", SKINNING=int(draft.dual), LIT=lit, CONTACT=int(touch is not None),
+                LOOSE=int(moved is not None), FACE=face, VIEW_STAGE=view_stage, **program,
+            )  # fmt: skip
+            meshes.append(drawn_mesh(draft, mesh, made, [light, touch, moved], *more))
+    uses = tuple(dict.fromkeys((*draft.drawn_on, *(handle for one in meshes for handle in one.handles))))
+    return Variants(tuple(meshes), uses, note + ("" if contact is None else ", darkened where limbs come near"))
+
+
 def paper_pass(draft: Draft, avatar: int, base_color: Handle[moderngl.Texture], view: Pass) -> AvatarPass:
-    mesh = posed_mesh(draft, avatar, directions=light_on(draft, avatar) is not None)
-    shading = shading_of(draft, avatar, mesh, samplers=("base_color",), VIEW_STAGE=0)
+    variants, uses, note = variants_of(draft, avatar, 0, samplers=("base_color",))
     what = f"{draft.avatars[avatar].name}, {len(draft.levels[avatar].faces)} triangles"
-    running = Decision(PassState.RUNS, what + draft.dual * ", dual quaternions" + shading.note)
-    uses = (*draft.drawn_on, *mesh.handles, base_color, *shading.handles)
-    instead = view if isinstance(view, AvatarPass) else None
-    return AvatarPass(f"{draft.tag(avatar)}: paper", uses, draft.layer, mesh, shading, (base_color,), running, instead)
+    running = Decision(PassState.RUNS, what + draft.dual * ", dual quaternions" + note)
+    uses, instead = (*uses, base_color), view if isinstance(view, AvatarPass) else None
+    return AvatarPass(f"{draft.tag(avatar)}: paper", uses, draft.layer, variants, (base_color,), running, instead)
 
 
 def base_color_of(draft: Draft, avatar: int) -> Handle[moderngl.Texture]:
     """The texture of an avatar's base color at its level of detail."""
-    image, first = draft.levels[avatar].base_color, draft.first(avatar)
+    image = draft.levels[avatar].base_color
 
     def make(made: PlanResources) -> moderngl.Texture:
         texture = image_texture(made.context, image)
-        if made.context.software:
-            read_finer_mip(made.context, texture)
+        read_finer_mip(made.context, texture)
         return texture
 
-    size, number = mipmapped_bytes(image.shape), draft.detail[avatar]
-    return draft.texture(f"{draft.tag(first)} base color", size, first, number, make=make)
+    return atlas(draft, avatar, "base color", mipmapped_bytes(image.shape), make)
+
+
+def atlas(
+    draft: Draft, avatar: int, name: str, size: int, make: Callable[[PlanResources], moderngl.Texture]
+) -> Handle[moderngl.Texture]:
+    """A texture of an avatar at its level of detail, of `size` bytes; made once for avatars that are the same."""
+    first = draft.first(avatar)
+    return draft.texture(f"{draft.tag(first)} {name}", size, first, draft.detail[avatar], make=make)
 
 
 def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.Texture]) -> AvatarPass | Absent:
@@ -76,7 +155,7 @@ def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.
     Raises:
         ValueError: as `resolved_view`.
     """
-    who, mesh, tag, first = draft.avatars[avatar], draft.levels[avatar], draft.tag(avatar), draft.first(avatar)
+    who, mesh, tag = draft.avatars[avatar], draft.levels[avatar], draft.tag(avatar)
     mode, why = resolved_view(who, view, draft.canvas.software)
     if mode == "off":
         return Absent(f"{tag}: view", "not asked for" if why == "asked for" else why)
@@ -85,22 +164,17 @@ def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.
     network = mode == "network" or (mode == "vertex" and who.network is not None)
     if mode == "vertex" and view == "auto":
         network = who.default_view == "network"
-    posed = posed_mesh(draft, avatar, directions=True)
     vertices = draft.vertices("view vertices", avatar, VIEW_VERTEX.itemsize, lambda: view_interleaved(mesh))
-    shading = shading_of(
-        draft, avatar, posed, (vertices, *ATTRIBUTES), samplers=SAMPLERS, avatar=first,
-        constants=lambda: avatar_constants(who), VIEW_STAGE=STAGE[mode], VIEW_MODEL=int(network),
+    variants, uses, note = variants_of(
+        draft, avatar, STAGE[mode], (vertices, *ATTRIBUTES), samplers=SAMPLERS, avatar=draft.first(avatar),
+        constants=lambda: avatar_constants(who), VIEW_MODEL=int(network),
     )  # fmt: skip
-    features, number = mesh.features, draft.detail[avatar]
+    features = mesh.features
     make = lambda made: image_texture(made.context, features, coarse=True)
-    size = mipmapped_bytes(features.shape)
-    textures = base_color, draft.texture(f"{draft.tag(first)} features", size, first, number, make=make)
-    uses = (*draft.drawn_on, *posed.handles, vertices, *textures, *shading.handles)
-    running = Decision(PassState.RUNS, why + shading.note)
+    textures = base_color, atlas(draft, avatar, "features", mipmapped_bytes(features.shape), make)
+    uses, running = (*uses, *textures), Decision(PassState.RUNS, why + note)
     draft.views[avatar] = mode
-    return AvatarPass(
-        f"{tag}: view {mode}", uses, draft.layer, posed, shading, textures, running, min_height=MIN_HEIGHT
-    )
+    return AvatarPass(f"{tag}: view {mode}", uses, draft.layer, variants, textures, running, min_height=MIN_HEIGHT)
 
 
 def resolved_view(avatar: Avatar, view: str, software: bool) -> tuple[str, str]:

@@ -17,7 +17,7 @@ from command.settings import Above, AtMost, Color, FilePlace, OneOf, settings
 from player.draw.drawing import Drawing
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Image
-from player.effects.background_source import RGBA, PictureSequence, Placing, Source, Video, opened_folder
+from player.effects.background_source import PICTURES, RGBA, PictureSequence, Placing, Source, Video
 from player.effects.panorama import Panorama, panorama_pass
 
 BACKGROUNDS = ("color", "image", "video", "hdr", "transparent")
@@ -71,58 +71,38 @@ class Background:
         """What makes its pixels ready, and the copy into the picture."""
         if self.kind in ("color", "transparent"):
             return (Absent("background"),)
-        # a file that cannot be read is said at once
-        content = self.content(draft)
+        # opened once; a file that cannot be read is said at once
+        content = draft.keep(self, lambda: opened_source(self))
         # a window is planned with its first frame
         if draft.canvas.size is None:
             return ()
         image = draft.framebuffer("background", draft.canvas.size, depth=False, textures=True)
         draft.background = image
         if isinstance(content, Panorama):
-            return (panorama_pass(draft, image, content), CopyPass("background", image.handles, image, None))
-        upload = UploadPass("background: video", image.handles, image, content)
-        if self.kind == "video":
-            return (upload, CopyPass("background", image.handles, image, None))
-        return (CopyPass("background", image.handles, image, upload),)
-
-    def content(self, draft: Draft) -> "OpenBackground | Panorama":
-        """What is drawn, opened once."""
-        path = self.path
-        assert path is not None
-        if self.kind == "hdr":
-            return draft.keep(self, lambda: Panorama(path, self.exposure, self.turn_deg))
-        return draft.keep(self, lambda: OpenBackground(opened_source(self)))
-
-
-class OpenBackground:
-    """An open picture or film, and which of its frames the texture holds."""
-
-    def __init__(self, source: Source):
-        self.source = source
-        self.holds: tuple[object, int] | None = None
-
-    def close(self) -> None:
-        self.source.close()
+            ready = panorama_pass(draft, image, content)
+        else:
+            ready = UploadPass(f"background: {self.kind}", image.handles, image, content)
+        return (ready, CopyPass("background", image.handles, image))
 
 
 @dataclass(frozen=True)
 class UploadPass(Pass):
-    """The frame of a film that belongs to this moment, at the size of the picture."""
+    """A picture, or the frame of a film that belongs to this moment, at the size of the image."""
 
     image: Image
-    behind: OpenBackground
+    source: Source
 
     def decide(self, drawing: Drawing) -> Decision:
-        return SAME_FRAME if self.behind.holds == self._wanted(drawing) else NEW_FRAME
+        return SAME_FRAME if drawing.resources.holds.get(self.image.color) == self._wanted(drawing) else NEW_FRAME
 
     def draw(self, drawing: Drawing) -> None:
         texture = drawing.resources[self.image.color]
-        pixels = self.behind.source.pixels(drawing.inputs.seconds, texture.size)
+        pixels = self.source.pixels(drawing.inputs.seconds, texture.size)
         texture.write(np.ascontiguousarray(pixels).tobytes())
-        self.behind.holds = self._wanted(drawing)
+        drawing.resources.holds[self.image.color] = self._wanted(drawing)
 
-    def _wanted(self, drawing: Drawing) -> tuple[object, int]:
-        return drawing.resources[self.image.color], self.behind.source.number(drawing.inputs.seconds)
+    def _wanted(self, drawing: Drawing) -> tuple[Source, int]:
+        return self.source, self.source.number(drawing.inputs.seconds)
 
 
 @dataclass(frozen=True)
@@ -130,15 +110,11 @@ class CopyPass(Pass):
     """The background into the picture."""
 
     image: Image
-    # uploads a picture that changes with its size alone; None: a pass of its own uploads it
-    upload: UploadPass | None
 
     def decide(self, drawing: Drawing) -> Decision:
         return ASKED
 
     def draw(self, drawing: Drawing) -> None:
-        if self.upload is not None and self.upload.decide(drawing).runs:
-            self.upload.draw(drawing)
         inputs, (width, height) = drawing.inputs, drawing.inputs.camera.size
         turned = None if inputs.flipped else height
         background = drawing.resources[self.image.framebuffer]
@@ -146,16 +122,23 @@ class CopyPass(Pass):
         inputs.framebuffer.use()
 
 
-def opened_source(background: Background) -> Source:
-    """What an image or video background is drawn from.
+def opened_source(background: Background) -> Source | Panorama:
+    """What a background with a file is drawn from.
 
     Raises:
         AssetError: the file is absent, or is not what its kind says.
     """
     assert background.path is not None
     path, placing = Path(background.path), Placing(background.fit, background.color)
+    if background.kind == "hdr":
+        return Panorama(path, background.exposure, background.turn_deg)
     if background.kind == "image":
         return PictureSequence([path], placing)
     if not path.exists():
         raise AssetError(f"{path}: no such file")
-    return opened_folder(path, placing, background.rate) if path.is_dir() else Video(path, placing)
+    if not path.is_dir():
+        return Video(path, placing)
+    files = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURES)
+    if not files:
+        raise AssetError(f"{path}: expected pictures ({', '.join(PICTURES)}), found none")
+    return PictureSequence(files, placing, background.rate)

@@ -119,14 +119,6 @@ class PictureSequence:
         """Nothing is open."""
 
 
-def opened_folder(path: Path, placing: Placing, rate: float) -> PictureSequence:
-    """A folder of pictures, in the order of their names; AssetError where there are none."""
-    files = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURES)
-    if not files:
-        raise AssetError(f"{path}: expected pictures ({', '.join(PICTURES)}), found none")
-    return PictureSequence(files, placing, rate)
-
-
 class Video:
     """A film, one decoded frame in memory. The last frame stays. Only opening it imports the decoder."""
 

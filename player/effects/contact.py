@@ -16,11 +16,11 @@ from jaxtyping import Int
 from avatar.camera import view_from_world
 from command.settings import Above, AtLeast, AtMost, settings
 from player.draw.drawing import Drawing, Warming
-from player.draw.plan import Attributes, Decision, Draft, Pass, PassState, Stage, clamped
+from player.draw.plan import Addition, Decision, Draft, Pass, PassState, Stage
 from player.draw.posed_mesh import normals_of
-from player.draw.resources import Handle, PlanResources
+from player.draw.resources import Handle, Image, PlanResources
 from player.effects.contact_capsules import LEAST, Capsules, capsules_of
-from player.effects.ground_plane import PassBehind, Sheet, behind_parts, target_of
+from player.effects.ground_plane import PassBehind, Sheet, behind_parts, drawn_texture
 from player.gl.blocks import CAPSULES
 from player.gl.shader import set_uniforms
 
@@ -32,7 +32,6 @@ RUNS = Decision(PassState.RUNS, "asked for")
 GROWN = 2.0
 # texels a side of the ground that it darkens
 SIDE = 64
-ATTRIBUTES = ("1u4 1f4", "spared", "rest")
 VERTEX = np.dtype([("spared", "u4"), ("rest", "f4")])
 
 
@@ -53,47 +52,34 @@ class Contact:
     def _floor(self, draft: Draft, touch: "AvatarContact") -> "ContactFloorPass":
         tag = draft.tag(touch.avatar)
         block = draft.buffer(f"{tag} capsules near the ground", CAPSULES.itemsize, touch.avatar)
-        hidden = draft.texture(
-            f"{tag} sky hidden from the ground", SIDE * SIDE, touch.avatar,
-            make=lambda made: clamped(made.context.gl.texture((SIDE, SIDE), 1)),
-        )  # fmt: skip
-        target, finding = target_of(draft, hidden), draft.program("screen.vert", "contact_floor.frag")
-        found = draft.array(finding)
-        parts = behind_parts(draft, "plane.vert", "laid.frag", block, hidden, target, found, samplers=("soft",))
-        name = f"contact: {tag} on the ground"
-        return ContactFloorPass(name, *parts, self, touch, block, hidden, target, finding, found)
+        hidden = drawn_texture(draft, f"{tag} sky hidden from the ground", SIDE * SIDE, SIDE, touch.avatar)
+        found = draft.array(draft.program("screen.vert", "contact_floor.frag"))
+        parts = behind_parts(draft, "plane.vert", "laid.frag", block, *hidden.handles, found, samplers=("soft",))
+        return ContactFloorPass(f"contact: {tag} on the ground", *parts, self, touch, block, hidden, found)
 
 
 @dataclass(frozen=True)
-class AvatarContact:
+class AvatarContact(Addition):
     avatar: int
     strength: float
     body: Callable[[], Capsules]  # fitted when they are first needed: a quarter of a second
-    block: Handle[moderngl.Buffer]  # the capsules of this frame
-    vertices: Handle[moderngl.Buffer]  # what each does not take from its own limb
-    normals: Handle[moderngl.Buffer]
-
-    @property
-    def buffers(self) -> tuple[Attributes, ...]:
-        """What a vertex array gains; its normals where nothing else brings them."""
-        return (self.vertices, *ATTRIBUTES), (self.normals, "3f4", "normal")
 
     def shows(self, drawing: Drawing) -> bool:
         return drawing.height(self.avatar) >= SMALLEST
 
-    def bind(self, drawing: Drawing) -> None:
-        """Bring the capsules of this frame to the GPU, unless another pass has, and bind them."""
-        drawing.bind(self.block, "Capsules", lambda: self.content(drawing))
+    def apply(self, drawing: Drawing, program: moderngl.Program) -> None:
+        set_uniforms(program, darkening=self.strength)
 
-    def warm(self, resources: PlanResources) -> None:
-        resources.bind_zeros(self.block, "Capsules")
+    def content(self, drawing: Drawing, block: str) -> bytes:
+        """The capsules of this frame."""
+        return self.chosen(drawing, slice(None))
 
-    def content(self, drawing: Drawing, chosen: slice | Int[np.ndarray, "near"] = slice(None)) -> bytes:
-        """The block of the capsules, or of some of them."""
+    def chosen(self, drawing: Drawing, which: slice | Int[np.ndarray, "near"]) -> bytes:
+        """A block of some of the capsules."""
         capsules, block = self.body(), np.zeros((), CAPSULES)
-        starts, ends = (points[chosen] for points in capsules.posed(drawing.bones[self.avatar]))
+        starts, ends = (points[which] for points in capsules.posed(drawing.bones[self.avatar]))
         along, count = ends - starts, len(starts)
-        block["capsule_start"][:count, :3], block["capsule_start"][:count, 3] = starts, capsules.radii[chosen]
+        block["capsule_start"][:count, :3], block["capsule_start"][:count, 3] = starts, capsules.radii[which]
         block["capsule_along"][:count, :3] = along
         block["capsule_along"][:count, 3] = 1 / np.maximum((along * along).sum(1), 1e-12)
         return block.tobytes()
@@ -113,9 +99,9 @@ def contact_of(draft: Draft, avatar: int) -> AvatarContact | None:
         out["spared"], out["rest"] = body().spared, body().rest
         return out
 
-    block = draft.buffer(f"{draft.tag(avatar)} capsules", CAPSULES.itemsize, avatar)
     stored = draft.vertices("contact", avatar, VERTEX.itemsize, vertices)
-    return AvatarContact(avatar, asked.strength, body, block, stored, normals_of(draft, avatar))
+    buffers = (stored, "1u4 1f4", "spared", "rest"), normals_of(draft, avatar)
+    return AvatarContact(buffers, (draft.block("Capsules", avatar),), avatar, asked.strength, body)
 
 
 @dataclass(frozen=True)
@@ -127,9 +113,7 @@ class ContactFloorPass(PassBehind):
     # the capsules near the ground
     block: Handle[moderngl.Buffer]
     # how much of the sky they hide, and what finds it
-    hidden: Handle[moderngl.Texture]
-    target: Handle[moderngl.Framebuffer]
-    finding: Handle[moderngl.Program]
+    hidden: Image
     found: Handle[moderngl.VertexArray]
 
     def decide(self, drawing: Drawing) -> Decision:
@@ -144,18 +128,18 @@ class ContactFloorPass(PassBehind):
         assert under is not None
         sheet, near = under
         resources = drawing.resources
-        drawing.bind(self.block, "Capsules", lambda: self.contact.content(drawing, near))
+        drawing.bind(self.block, "Capsules", lambda: self.contact.chosen(drawing, near))
         columns = np.stack([view[:3, 0], view[:3, 2], view[:3] @ np.append(sheet.anchor, 1.0)])
         set_uniforms(
-            resources[self.finding], view_from_plane=columns, up=tuple(view[:3, 1].tolist()), grown=GROWN,
+            resources[self.found].program, view_from_plane=columns, up=tuple(view[:3, 1].tolist()), grown=GROWN,
             texel=tuple(across / SIDE for across in sheet.reach[2:]), count=len(near),
         )  # fmt: skip
         self._find(resources)
-        set_uniforms(resources[self.program], reach=sheet.reach, strength=self.settings.strength)
+        set_uniforms(resources[self.array].program, reach=sheet.reach, strength=self.settings.strength)
         self.draw_sheet(drawing, sheet)
 
     def render(self, resources: PlanResources) -> None:
-        resources[self.hidden].use(0)
+        resources[self.hidden.color].use(0)
         super().render(resources)
 
     def warm(self, warming: Warming) -> None:
@@ -165,7 +149,7 @@ class ContactFloorPass(PassBehind):
 
     def _find(self, resources: PlanResources) -> None:
         """What the capsules that are bound hide of the sky."""
-        resources[self.target].use()
+        resources[self.hidden.framebuffer].use()
         resources.context.gl.enable_only(0)
         resources[self.found].render(moderngl.TRIANGLES, vertices=3)
 

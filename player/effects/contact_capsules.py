@@ -7,8 +7,7 @@ whole, is (Quilez 2006, "Sphere ambient occlusion")
 
 A capsule counts as the ball at its point nearest to the surface. Several let (1 - o_1) (1 - o_2) ... through. What lies
 in a texture already is how dark a surface is in the pose that it rests in, so a body's surface shows its own openness
-divided by that of rest. A surface is never hidden by its own bone or by those next to it. Mirrored by
-shaders/contact.glsl.
+divided by that of rest. A surface is never hidden by its own bone or those next to it. Mirrored by contact.glsl.
 """
 
 from dataclasses import dataclass

@@ -4,7 +4,7 @@ Places on it are metres about an anchor near the avatars, (x, z) of the world le
 scene far from the world's origin cancel in double precision before anything is rounded.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,8 +15,8 @@ from numpy import ndarray as Array
 
 from avatar.camera import Camera, clip_from_view, view_from_world
 from player.draw.drawing import Drawing, Layer, Warming
-from player.draw.plan import Decision, Draft, Pass, PassState
-from player.draw.resources import AnyHandle, Handle, PlanResources
+from player.draw.plan import Decision, Draft, Pass, PassState, clamped
+from player.draw.resources import AnyHandle, Handle, Image, PlanResources
 from player.gl.shader import Uniforms, set_uniforms
 
 NEAR, FAR = 0.01, 1e5  # metres; nothing on the plane is tested for depth, so they need not be tight
@@ -59,7 +59,6 @@ class PassBehind(Pass):
     """A pass that draws on the picture before the avatars are, by one program."""
 
     layer: Layer
-    program: Handle[moderngl.Program]
     array: Handle[moderngl.VertexArray]
 
     def render(self, resources: PlanResources) -> None:
@@ -67,11 +66,23 @@ class PassBehind(Pass):
         resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def draw_sheet(self, drawing: Drawing, sheet: Sheet) -> None:
-        def draw(flipped: bool) -> None:
-            sheet.apply(drawing.resources[self.program], drawing.inputs.camera, flipped=flipped)
-            self.render(drawing.resources)
+        """Draw on the picture; once more on the avatars' layer, where that begins with what is behind them."""
+        flipped, image = drawing.inputs.flipped, self.layer.image
+        self._draw_into(drawing.inputs.framebuffer, drawing, sheet, flipped)
+        if self.layer.begins_with_picture and image is not None and any(drawing.visible):
+            drawing.enter(self.layer)
+            framebuffer = drawing.resources[image.framebuffer]
+            self._draw_into(framebuffer, drawing, sheet, flipped or self.layer.always_flipped)
+            # as `enter` left it
+            drawing.gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
 
-        draw_behind(drawing, self.layer, draw)
+    def _draw_into(self, target: moderngl.Framebuffer, drawing: Drawing, sheet: Sheet, flipped: bool) -> None:
+        """Premultiplied colors over what is there."""
+        target.use()
+        drawing.gl.enable_only(moderngl.BLEND)
+        drawing.gl.blend_func = (moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA)
+        sheet.apply(drawing.resources[self.array].program, drawing.inputs.camera, flipped=flipped)
+        self.render(drawing.resources)
 
     def warm(self, warming: Warming) -> None:
         if warming.enter_picture():
@@ -95,7 +106,7 @@ class SquarePass(PassBehind):
 
     def draw(self, drawing: Drawing) -> None:
         sheet, fade = self._sheet(drawing), (self.share * self.radius, self.radius)
-        set_uniforms(drawing.resources[self.program], reach=sheet.reach, fade=fade, **self.paint(sheet))
+        set_uniforms(drawing.resources[self.array].program, reach=sheet.reach, fade=fade, **self.paint(sheet))
         self.draw_sheet(drawing, sheet)
 
     def _sheet(self, drawing: Drawing) -> Sheet:
@@ -107,43 +118,23 @@ class SquarePass(PassBehind):
 
 def behind_parts(
     draft: Draft, vertex: str, fragment: str, *more: AnyHandle, samplers: Sequence[str] = (), **defines: int
-) -> tuple[tuple[AnyHandle, ...], Layer, Handle[moderngl.Program], Handle[moderngl.VertexArray]]:
+) -> tuple[tuple[AnyHandle, ...], Layer, Handle[moderngl.VertexArray]]:
     """What such a pass begins with, after its name; more: what it reads beside its vertices."""
     uses = draft.behind_avatars
     program = draft.program(vertex, fragment, samplers=samplers, avatar=None, constants=dict, **defines)
     array = draft.array(program)
-    return (*uses, *more, array), draft.layer, program, array
+    return (*uses, *more, array), draft.layer, array
 
 
-def target_of(draft: Draft, texture: Handle[moderngl.Texture]) -> Handle[moderngl.Framebuffer]:
-    """A framebuffer that draws into one texture."""
-    make = lambda made: made.context.gl.framebuffer([made[texture]])
-    return draft.need(Handle(moderngl.Framebuffer, texture.name, 0, (texture,), make))
-
-
-def draw_behind(drawing: Drawing, layer: Layer, draw: Callable[[bool], None]) -> None:
-    """Draw on the picture before the avatars are; once more on their layer, where that begins with what is behind them.
-
-    `draw` takes whether row 0 is the top.
-    """
-    gl = drawing.gl
-    drawing.inputs.framebuffer.use()
-    _blend(gl)
-    draw(drawing.inputs.flipped)
-    if layer.begins_with_picture and any(drawing.visible):
-        assert layer.image is not None
-        drawing.enter(layer)
-        drawing.resources[layer.image.framebuffer].use()
-        _blend(gl)
-        draw(drawing.inputs.flipped or layer.always_flipped)
-        # as `enter` left it
-        gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-
-
-def _blend(gl: moderngl.Context) -> None:
-    """Premultiplied colors over what is there."""
-    gl.enable_only(moderngl.BLEND)
-    gl.blend_func = (moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA)
+def drawn_texture(
+    draft: Draft, name: str, size: int, side: int, *depends_on: Hashable,
+    make: Callable[[PlanResources], moderngl.Texture] | None = None,
+) -> Image:  # fmt: skip
+    """A square texture of the ground that passes draw on, of `size` bytes; of one channel unless `make` says else."""
+    plain = lambda made: clamped(made.context.gl.texture((side, side), 1))
+    texture = draft.texture(name, size, *depends_on, make=make or plain)
+    target = lambda made: made.context.gl.framebuffer([made[texture]])
+    return Image((side, side), draft.need(Handle(moderngl.Framebuffer, name, 0, (texture,), target)), texture, None)
 
 
 def _ahead(polygon: Float[Array, "corners 3"]) -> Float[Array, "clipped 3"]:

@@ -66,8 +66,7 @@ class HeldFeet:
         self._motion, self._lock = motion, lock
         self._joints = joints.astype(np.float64)
         self._bones = [leg_bones(self._joints, leg) for leg in LEGS]
-        # metres of this body in one of a grown person's
-        self.unit = float(np.mean([sum(bones) for bones in self._bones])) / GROWN
+        self.unit = leg_unit(self._joints)
         # by their first frame
         self._solved: list[tuple[int, Held]] = []
 
@@ -131,6 +130,11 @@ class HeldFeet:
             clip = self._motion.read(first, min(first + BLOCK, self._motion.frames))
             parts.append(joint_transforms(clip.axis_angle, self._joints, clip.root)[..., :3, 3][:, TOES])
         return np.concatenate(parts).transpose(1, 0, 2)
+
+
+def leg_unit(joints: Float[Array, "52 3"]) -> float:
+    """Metres of this body in one of a grown person's."""
+    return float(np.mean([sum(leg_bones(joints, leg)) for leg in LEGS])) / GROWN
 
 
 def leg_bones(joints: Float[Array, "52 3"], leg: str) -> tuple[float, float]:

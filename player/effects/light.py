@@ -1,5 +1,4 @@
-"""Avatars lit anew: by the light they were filmed in, which stays where it was as they turn, by none, by lamps, or by a
-panorama.
+"""Avatars lit anew: by the light they were filmed in, which stays as they turn, by none, by lamps, or by a panorama.
 
 An avatar's file keeps two things apart (avatar/light.py): its base color shows albedo in the light it was seen in on
 average. This draws no pass of its own; the passes that draw avatars take that light out and put this one in
@@ -13,13 +12,14 @@ from typing import Annotated, ClassVar
 import moderngl
 import numpy as np
 
-from avatar.baked_avatar import Avatar, Level
-from avatar.camera import Camera
+from avatar.baked_avatar import Avatar
+from avatar.camera import view_from_world
 from avatar.light import LAMPS, CaptureLight, lamps_of
 from command.progress import plural
 from command.settings import AtLeast, AtMost, FilePlace, OneOf, settings
-from player.draw.plan import Attributes, Draft, Pass, Stage
-from player.draw.resources import Handle
+from player.draw.drawing import Drawing
+from player.draw.plan import Addition, Draft, Pass, Stage
+from player.draw.posed_mesh import normals_of
 from player.effects.background import Background
 from player.effects.background_source import read_panorama
 from player.effects.panorama_light import fitted_light
@@ -27,10 +27,6 @@ from player.gl.shader import set_uniforms
 
 KINDS = ("capture", "albedo", "lamps", "panorama")
 FIRST_LAMP = (0.45, 0.65, 0.6)
-ATTRIBUTES = ("3f4 2f4", "normal", "seen_light")
-VERTEX = np.dtype([("normal", "f4", 3), ("seen_light", "f4", 2)])
-# OpenGL looks down -z with +y up
-VIEW_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 
 
 @settings
@@ -97,10 +93,8 @@ class Light:
 
 
 @dataclass(frozen=True)
-class AvatarLight:
+class AvatarLight(Addition):
     light: CaptureLight
-    vertices: Handle[moderngl.Buffer]
-    explanation: str
     # whether there is a highlight in it, or in the base color that is lit
     gleams: bool
 
@@ -109,18 +103,13 @@ class AvatarLight:
         """LIT of shaders/avatar.vert."""
         return 1 if not self.gleams else 2 if self.light.gamma == 1 else 3
 
-    @property
-    def buffer(self) -> Attributes:
-        return (self.vertices, *ATTRIBUTES)
-
-    def apply(self, program: moderngl.Program, camera: Camera) -> None:
+    def apply(self, drawing: Drawing, program: moderngl.Program) -> None:
         """Put the light, which stands still in the world, before this camera."""
         light, lamps, shares = self.light, np.zeros((LAMPS, 4), np.float32), np.zeros(LAMPS)
         count = len(light.lamps)
-        view_from_world = VIEW_FROM_CAMERA @ camera.camera_from_world[:3, :3]
         # a lamp that is not there still needs a direction
         lamps[:, 2] = 1
-        lamps[:count, :3] = light.directions @ view_from_world.T
+        lamps[:count, :3] = light.directions @ view_from_world(drawing.inputs.camera)[:3, :3].T
         lamps[:count, 3], shares[:count] = light.strengths[:count], light.shares[:count]
         set_uniforms(program, lamps=lamps, ambience=(light.ambient, light.gloss, light.exponent))
         if self.gleams:
@@ -135,30 +124,16 @@ def light_on(draft: Draft, avatar: int) -> CaptureLight | None:
     return None if asked is None else asked.on(draft.avatars[avatar], draft)
 
 
-def light_of(draft: Draft, avatar: int) -> AvatarLight | None:
-    """The same as the passes that draw the avatar need it."""
-    level, asked, light = draft.levels[avatar], draft.asked(Light), light_on(draft, avatar)
-    if asked is None or light is None:
-        return None
-    vertices = draft.vertices("light", avatar, VERTEX.itemsize, lambda: lit_interleaved(level))
-    own = draft.avatars[avatar].light is not None
-    why = "" if own else "; its file has no light, its colors are taken for albedo"
-    seen = level.light is not None and bool(np.any(level.light[:, 1]))
-    return AvatarLight(light, vertices, why, gleams=seen or light.gloss > 0)
-
-
-def light_note(draft: Draft, avatar: int, light: AvatarLight | None) -> str:
-    """For people: the end of a pass's reason."""
-    if light is not None:
-        lamps = plural(len(light.light.lamps), "lamp")
-        return f", lit by ambient {light.light.ambient:.2f} and {lamps}{light.explanation}"
-    asked = draft.asked(Light) is not None and draft.avatars[avatar].light is None
-    return ", not lit anew: its file has no light" if asked else ""
-
-
-def lit_interleaved(level: Level) -> np.ndarray:
-    """Normal of each vertex and the light that its base color shows, 20 bytes."""
-    out = np.zeros(len(level.positions), VERTEX)
-    out["normal"] = level.normals
-    out["seen_light"] = (1.0, 0.0) if level.light is None else level.light
-    return out
+def light_of(draft: Draft, avatar: int) -> tuple[AvatarLight | None, str]:
+    """The same as the passes that draw the avatar need it, and for people the end of their reason."""
+    level, light, own = draft.levels[avatar], light_on(draft, avatar), draft.avatars[avatar].light is not None
+    if light is None:
+        ignored = draft.asked(Light) is not None and not own
+        return None, ", not lit anew: its file has no light" if ignored else ""
+    seen = np.array((1.0, 0.0) if level.light is None else level.light, np.float32)
+    vertices = draft.vertices("light", avatar, 8, lambda: np.broadcast_to(seen, (len(level.positions), 2)))
+    gleams = light.gloss > 0 or (level.light is not None and bool(np.any(level.light[:, 1])))
+    buffers = (vertices, "2f4", "seen_light"), normals_of(draft, avatar)
+    note = f", lit by ambient {light.ambient:.2f} and {plural(len(light.lamps), 'lamp')}"
+    note += "" if own else "; its file has no light, its colors are taken for albedo"
+    return AvatarLight(buffers, (), light, gleams), note

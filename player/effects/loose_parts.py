@@ -19,7 +19,7 @@ from avatar.skinning import dense_weights
 from player.draw.drawing import GivenPose
 from player.draw.posing import Poser
 from player.effects.contact_capsules import BONES, capsule_distances, capsules_of
-from player.effects.held_feet import GROWN, LEGS, leg_bones
+from player.effects.held_feet import leg_unit
 
 # joint that moves each capsule
 BONE = np.array([joint for joint, _ in BONES])
@@ -49,10 +49,6 @@ class DrivenPose(NamedTuple):
     # to each neighbour, and gravity beyond that of pose 0, parts of it
     lengths: Float[Array, "neighbours particles"]
     pull: Float[Array, "particles 3"]
-
-    def moved(self, shift: Float[Array, "3"]) -> "DrivenPose":
-        """The same seen from a pelvis that has moved."""
-        return self._replace(targets=self.targets - shift, capsules=self.capsules - shift)
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,7 @@ def loose_parts(avatar: Avatar, level: Level) -> LooseParts | None:
     if level.loose is None or not (level.loose > 0).any():
         return None
     joints = avatar.joint_positions.astype(np.float64)
-    unit = float(np.mean([sum(leg_bones(joints, leg)) for leg in LEGS])) / GROWN
+    unit = leg_unit(joints)
     own = np.flatnonzero(level.loose > 0)
     points, loose = level.positions[own].astype(np.float64), level.loose[own].astype(np.float64)
     chosen = spread(points, loose, SPACING * unit)
@@ -166,8 +162,6 @@ def _neighbours(
 ) -> tuple[Int[Array, "particles NEIGHBOURS"], Float[Array, "particles NEIGHBOURS"]]:
     """Particles whose vertices share a triangle, the nearest of them; both ways or not at all."""
     count = len(places)
-    of_vertex = np.full(len(level.positions), -1)
-    of_vertex[own] = cell
     # vertices at one place are one, whatever cuts of the atlas divide them
     _, place = np.unique(level.positions, axis=0, return_inverse=True)
     place = place.reshape(-1)

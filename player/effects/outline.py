@@ -10,13 +10,11 @@ import numpy as np
 
 from command.settings import RGBA, Above, AtMost, Color, settings
 from player.draw.drawing import Drawing, Layer, Warming
-from player.draw.plan import Decision, Draft, Pass, PassState, Stage
-from player.draw.posed_mesh import normals_of
+from player.draw.plan import MARGIN, NONE_IN_VIEW, Decision, Draft, Pass, PassState, Stage
+from player.draw.posed_mesh import DrawnMesh, normals_of
 from player.draw.resources import PlanResources
-from player.effects.secondary_motion import LooseMesh, loose_mesh
+from player.effects.secondary_motion import loose_mesh
 from player.gl.shader import set_uniforms
-
-OUT_OF_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
 
 
 @settings
@@ -30,25 +28,25 @@ class Outline:
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         """One pass for all avatars, which share its color and width."""
-        draft.widen(ceil(self.width))
-        hulls, uses = [], [*draft.drawn_on]
-        for index in range(len(draft.levels)):
-            normals = normals_of(draft, index)
-            hulls.append(loose_mesh(draft, index, "outline.vert", "plain.frag", (normals, "3f4", "normal")))
-            uses += [*hulls[-1].handles, normals]
+        draft.margin = max(draft.margin, MARGIN + ceil(self.width))
+        hulls = tuple(
+            loose_mesh(draft, index, "outline.vert", "plain.frag", normals_of(draft, index))
+            for index in range(len(draft.levels))
+        )
+        uses = (*draft.drawn_on, *(handle for hull in hulls for handle in hull.handles))
         running = Decision(PassState.RUNS, f"{self.width:g} pixels")
-        return (OutlinePass("outline", tuple(uses), self, tuple(hulls), draft.layer, running),)
+        return (OutlinePass("outline", uses, self, hulls, draft.layer, running),)
 
 
 @dataclass(frozen=True)
 class OutlinePass(Pass):
     outline: Outline
-    hulls: tuple[LooseMesh, ...]
+    hulls: tuple[DrawnMesh, ...]
     layer: Layer
     running: Decision
 
     def decide(self, drawing: Drawing) -> Decision:
-        return self.running if any(drawing.visible) else OUT_OF_VIEW
+        return self.running if any(drawing.visible) else NONE_IN_VIEW
 
     def draw(self, drawing: Drawing) -> None:
         drawing.enter(self.layer)
@@ -66,6 +64,6 @@ class OutlinePass(Pass):
                 hull.warm(warming.resources)
 
     def _color(self, resources: PlanResources, size: tuple[int, int]) -> None:
-        for handle in {hull.program for hull in self.hulls}:
+        for program in {resources[hull.array].program for hull in self.hulls}:
             width = tuple(2 * self.outline.width / np.array(size))
-            set_uniforms(resources[handle], width=width, plain=self.outline.color[:3])
+            set_uniforms(program, width=width, plain=self.outline.color[:3])

@@ -1,5 +1,6 @@
 """The surroundings from a panorama, looked up along each pixel's ray when the camera turns (shaders/panorama.frag)."""
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,7 @@ STILL = Decision(PassState.KEPT, "the camera has not turned")
 
 
 class Panorama:
-    """Light from all directions, and the view of it that the image holds.
+    """Light from all directions.
 
     Raises:
         AssetError: the file is absent or no panorama.
@@ -31,7 +32,6 @@ class Panorama:
         self.size = light.shape[1], light.shape[0]
         # until the texture holds it
         self.light: Float[np.ndarray, "height width 3"] | None = light
-        self.holds: tuple[object, ...] | None = None
 
     def texture(self, resources: PlanResources) -> moderngl.Texture:
         """Half floats: the sun of most panoramas stays below 65504; what is brighter would become infinite."""
@@ -53,24 +53,23 @@ class PanoramaPass(Pass):
     image: Image
     content: Panorama
     light: Handle[moderngl.Texture]
-    program: Handle[moderngl.Program]
     array: Handle[moderngl.VertexArray]
 
     def decide(self, drawing: Drawing) -> Decision:
-        return STILL if self.content.holds == self._wanted(drawing) else TURNED
+        return STILL if drawing.resources.holds.get(self.image.color) == self._wanted(drawing) else TURNED
 
     def draw(self, drawing: Drawing) -> None:
         """The view of this camera, kept until it turns."""
         camera, resources = drawing.inputs.camera, drawing.resources
         texels_a_radian = self.content.size[0] / (2 * np.pi)
         set_uniforms(
-            resources[self.program], direction_from_pixel=direction_from_pixel(camera, self.content.turn).T,
+            resources[self.array].program, direction_from_pixel=direction_from_pixel(camera, self.content.turn).T,
             exposure=2.0**self.content.exposure, mip=max(float(np.log2(texels_a_radian / camera.K[1, 1])), 0.0),
         )  # fmt: skip
         framebuffer = resources[self.image.framebuffer]
         framebuffer.viewport = (0, 0, *framebuffer.size)
         self._render(resources)
-        self.content.holds = self._wanted(drawing)
+        resources.holds[self.image.color] = self._wanted(drawing)
 
     def warm(self, warming: Warming) -> None:
         self._render(warming.resources)
@@ -81,12 +80,12 @@ class PanoramaPass(Pass):
         resources[self.light].use(0)
         resources[self.array].render(vertices=3)
 
-    def _wanted(self, drawing: Drawing) -> tuple[object, ...]:
+    def _wanted(self, drawing: Drawing) -> tuple[Hashable, ...]:
         """Equal while the camera does not turn."""
         camera = drawing.inputs.camera
         # rounding is no turn; 0 and -0 are one
         turned = np.round(camera.camera_from_world[:3, :3], 9) + 0.0
-        return drawing.resources[self.image.color], camera.K.tobytes(), turned.tobytes()
+        return self.content, camera.K.tobytes(), turned.tobytes()
 
 
 def panorama_pass(draft: Draft, image: Image, content: Panorama) -> PanoramaPass:
@@ -96,10 +95,8 @@ def panorama_pass(draft: Draft, image: Image, content: Panorama) -> PanoramaPass
     texels = sum(max(width >> i, 1) * max(height >> i, 1) for i in range(levels))
     # the file is part of what it depends on: another panorama of this size is another texture
     light = draft.texture("panorama", 8 * texels, content, make=content.texture)
-    program = draft.program("screen.vert", "panorama.frag", samplers=("panorama",))
-    array = draft.array(program)
-    uses = (*image.handles, light, array)
-    return PanoramaPass("background: hdr", uses, image, content, light, program, array)
+    array = draft.array(draft.program("screen.vert", "panorama.frag", samplers=("panorama",)))
+    return PanoramaPass("background: hdr", (*image.handles, light, array), image, content, light, array)
 
 
 def direction_from_pixel(camera: Camera, turn: float) -> Float[np.ndarray, "3 3"]:

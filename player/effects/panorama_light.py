@@ -4,8 +4,7 @@
 
 is taken at normals all over the sphere and fitted by S(n) = ambient + sum_k strength_k max(n . l_k, 0) with nothing
 negative: lamps are found one after another, each where it leaves the least (matching pursuit). Harmonics of the second
-order, the usual way, go negative behind a low sun and have to be windowed; lamps cannot, and throw shadows on the
-ground.
+order, the usual way, go negative behind a low sun and have to be windowed; lamps cannot, and they throw shadows.
 """
 
 import numpy as np

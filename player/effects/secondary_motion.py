@@ -8,28 +8,24 @@ their program (shaders/loose.glsl).
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-import moderngl
 import numpy as np
 
-from avatar.baked_avatar import Avatar, Level
+from avatar.baked_avatar import Level
 from avatar.camera import view_from_world
 from command.settings import Above, AtLeast, AtMost, settings
-from player.draw.drawing import Drawing, FrameInputs, GivenPose, Pose
-from player.draw.plan import Absent, Attributes, Decision, Draft, Pass, PassState, Stage, vertex_order
-from player.draw.posed_mesh import PosedMesh, posed_mesh
-from player.draw.resources import AnyHandle, Handle, PlanResources
+from player.draw.drawing import Drawing, FrameInputs, Pose
+from player.draw.plan import OUT_OF_VIEW, Absent, Addition, Attributes, Decision, Draft, Pass, PassState, Stage
+from player.draw.posed_mesh import DrawnMesh, drawn_mesh, posed_mesh
 from player.gl.blocks import LOOSE
 
 if TYPE_CHECKING:
     from player.effects.loose_motion import LooseMotion
 
 SMALLEST = 40  # pixels; of a smaller avatar it cannot be seen
-ATTRIBUTES = ("4u2 4f4", "near_particles", "follows")
 VERTEX = np.dtype([("near", "u2", 4), ("follows", "f4", 4)])
-OUT_OF_VIEW = Decision(PassState.SKIPPED, "out of view")
 SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {SMALLEST} pixels tall")
 AT_REST = Decision(PassState.SKIPPED, "at rest, as it is skinned")
 
@@ -57,65 +53,25 @@ class SecondaryMotion:
         return out
 
 
-class LazyMotion:
-    """The motion of an avatar's loose parts; particles are found when it is first moved: most of a second."""
-
-    def __init__(self, avatar: Avatar, level: Level, springs: SecondaryMotion):
-        self._of = avatar, level
-        self._springs = springs
-        # milliseconds of the last step
-        self.ms = 0.0
-
-    @cached_property
-    def found(self) -> "LooseMotion":
-        # only where it is asked for
-        from player.effects.loose_motion import LooseMotion
-        from player.effects.loose_parts import loose_parts
-
-        parts = loose_parts(*self._of)
-        assert parts is not None, "planned for what is loose"
-        return LooseMotion(parts, self._springs)
-
-    def move(self, pose: GivenPose, seconds: float) -> None:
-        motion, began = self.found, time.perf_counter()
-        motion.move(pose, seconds)
-        self.ms = 1e3 * (time.perf_counter() - began)
-
-
 @dataclass(frozen=True)
-class LooseOffsets:
+class LooseOffsets(Addition):
     """One avatar's loose parts in a plan: how far they are off where they are skinned to."""
 
     avatar: int
-    motion: LazyMotion
-    block: Handle[moderngl.Buffer]  # the offsets of this frame
-    vertices: Handle[moderngl.Buffer]  # the particles that each vertex follows
-
-    @property
-    def handles(self) -> tuple[AnyHandle, ...]:
-        return self.block, self.vertices
-
-    @property
-    def buffer(self) -> Attributes:
-        return (self.vertices, *ATTRIBUTES)
+    # particles are found when it is first moved: most of a second
+    motion: "Callable[[], LooseMotion]"
 
     def shows(self, drawing: Drawing) -> bool:
-        return self.motion.found.shows and drawing.height(self.avatar) >= SMALLEST
+        return self.motion().shows and drawing.height(self.avatar) >= SMALLEST
 
-    def bind(self, drawing: Drawing) -> None:
-        """Bring the offsets of this frame to the GPU, unless another pass has, and bind them."""
-        drawing.bind(self.block, "Loose", lambda: self._content(drawing))
-
-    def warm(self, resources: PlanResources) -> None:
-        resources.bind_zeros(self.block, "Loose")
-
-    def _content(self, drawing: Drawing) -> bytes:
-        block, motion = np.zeros((), LOOSE), self.motion.found
+    def content(self, drawing: Drawing, block: str) -> bytes:
+        """The offsets of this frame."""
+        out, motion = np.zeros((), LOOSE), self.motion()
         # what is too small to be moved is drawn as it is skinned, by every pass
         if self.shows(drawing):
             turn = view_from_world(drawing.inputs.camera)[:3, :3]
-            block["loose_offset"][: len(motion.offsets), :3] = motion.offsets @ turn.T
-        return block.tobytes()
+            out["loose_offset"][: len(motion.offsets), :3] = motion.offsets @ turn.T
+        return out.tobytes()
 
 
 def is_loose(level: Level) -> bool:
@@ -125,62 +81,43 @@ def is_loose(level: Level) -> bool:
 
 def offsets_of(draft: Draft, avatar: int) -> LooseOffsets | None:
     """What moves an avatar's loose parts; None: nothing is asked for, or nothing is loose."""
-    level, tag, springs = draft.levels[avatar], draft.tag(avatar), draft.asked(SecondaryMotion)
+    who, level, springs = draft.avatars[avatar], draft.levels[avatar], draft.asked(SecondaryMotion)
     if springs is None or not is_loose(level):
         return None
-    key = ("secondary motion", avatar, draft.detail[avatar], springs)
-    motion = draft.keep(key, lambda: LazyMotion(draft.avatars[avatar], level, springs))
 
-    def vertices(made: PlanResources) -> bytes:
-        out, parts = np.zeros(len(level.positions), VERTEX), motion.found.parts
+    def found() -> "LooseMotion":
+        # only where it is asked for
+        from player.effects.loose_motion import LooseMotion
+        from player.effects.loose_parts import loose_parts
+
+        parts = loose_parts(who, level)
+        assert parts is not None, "planned for what is loose"
+        return LooseMotion(parts, springs)
+
+    motion = draft.keep(("secondary motion", avatar, draft.detail[avatar], springs), lambda: cache(found))
+
+    def vertices() -> np.ndarray:
+        out, parts = np.zeros(len(level.positions), VERTEX), motion().parts
         out["near"], out["follows"] = parts.near, parts.follows
-        return out[vertex_order(made, level)[0]].tobytes()
+        return out
 
-    size, number = VERTEX.itemsize * len(level.positions), draft.detail[avatar]
-    block = draft.buffer(f"{tag} loose offsets", LOOSE.itemsize, avatar)
-    return LooseOffsets(
-        avatar, motion, block, draft.buffer(f"{tag} loose parts", size, avatar, number, content=vertices)
-    )
-
-
-class LooseMesh(NamedTuple):
-    """An avatar's surface with its loose parts where they are, as one program draws it."""
-
-    mesh: PosedMesh
-    program: Handle[moderngl.Program]
-    array: Handle[moderngl.VertexArray]
-    loose: LooseOffsets | None
-
-    @property
-    def handles(self) -> tuple[AnyHandle, ...]:
-        return (*self.mesh.handles, self.program, self.array, *(() if self.loose is None else self.loose.handles))
-
-    def draw(self, drawing: Drawing) -> None:
-        self.mesh.pose(drawing)
-        if self.loose is not None:
-            self.loose.bind(drawing)
-        drawing.resources[self.array].render()
-
-    def warm(self, resources: PlanResources) -> None:
-        self.mesh.warm(resources)
-        if self.loose is not None:
-            self.loose.warm(resources)
-        resources[self.array].render(vertices=3)
+    stored = draft.vertices("loose parts", avatar, VERTEX.itemsize, vertices)
+    buffers = ((stored, "4u2 4f4", "near_particles", "follows"),)
+    return LooseOffsets(buffers, (draft.block("Loose", avatar),), avatar, motion)
 
 
 def loose_mesh(
     draft: Draft, avatar: int, vertex: str, fragment: str, *more: Attributes, level: int | None = None
-) -> LooseMesh:
-    """An avatar for a program of these shaders, with further attributes of its vertices; where nothing of it is loose,
-    at another level of detail than the plan's."""
+) -> DrawnMesh:
+    """An avatar for a program of these shaders, with further attributes of its vertices and its loose parts where they
+    are; where nothing of it is loose, at another level of detail than the plan's."""
     loose = offsets_of(draft, avatar)
     # loose parts are bound to the vertices of the level that is drawn
     mesh = posed_mesh(draft, avatar, level=level if loose is None else None)
     program = draft.program(
         vertex, fragment, SKINNING=int(draft.dual), LOOSE=int(loose is not None), FACE=int(mesh.face is not None)
     )
-    array = mesh.array(draft, program, *more, *(() if loose is None else (loose.buffer,)))
-    return LooseMesh(mesh, program, array, loose)
+    return drawn_mesh(draft, mesh, program, [loose], *more)
 
 
 @dataclass(frozen=True)
@@ -190,18 +127,20 @@ class LoosePass(Pass):
     offsets: LooseOffsets
 
     def move(self, poses: Sequence[Pose], seconds: float) -> None:
-        self.offsets.motion.move(poses[self.offsets.avatar], seconds)
+        motion, began = self.offsets.motion(), time.perf_counter()
+        motion.move(poses[self.offsets.avatar], seconds)
+        motion.ms = 1e3 * (time.perf_counter() - began)
 
     def reach(self, avatar: int, pose: Pose) -> float:
-        return self.offsets.motion.found.reach if avatar == self.offsets.avatar else 0.0
+        return self.offsets.motion().reach if avatar == self.offsets.avatar else 0.0
 
     def cost(self, drawn: float, inputs: FrameInputs, frame: Callable[[], float]) -> float:
         """The offsets on their way to the GPU, and the simulation's last step."""
-        return drawn + self.offsets.motion.ms
+        return drawn + self.offsets.motion().ms
 
     def decide(self, drawing: Drawing) -> Decision:
         """It shows where anything is moved far enough to be seen, of an avatar that can be."""
-        motion = self.offsets.motion.found
+        motion = self.offsets.motion()
         if not motion.shows:
             return AT_REST
         if not drawing.visible[self.offsets.avatar]:

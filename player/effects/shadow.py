@@ -5,7 +5,7 @@ shadow is softened once, in the same coordinates (shaders/shadow.frag). Both are
 shadow is laid over the floor, or over any background, by one fetch a pixel.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import NamedTuple
@@ -17,10 +17,11 @@ from jaxtyping import Float
 from avatar.camera import view_from_world
 from player.draw.drawing import Drawing, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState, clamped
-from player.draw.resources import Handle, PlanResources
-from player.effects.ground_plane import PassBehind, Sheet, behind_parts, target_of
+from player.draw.posed_mesh import DrawnMesh
+from player.draw.resources import Handle, Image, PlanResources
+from player.effects.ground_plane import PassBehind, Sheet, behind_parts, drawn_texture
 from player.effects.light import light_on
-from player.effects.secondary_motion import LooseMesh, loose_mesh
+from player.effects.secondary_motion import LooseOffsets, loose_mesh
 from player.gl.shader import set_uniforms
 from player.gl.tiles import Patches
 
@@ -53,25 +54,20 @@ def shadow_passes(
     # avatars stand apart
     side = (SOFTWARE_TEXELS if draft.canvas.software else TEXELS) * (1 if len(draft.avatars) == 1 else 2)
     size = sum(4 * (side >> i) ** 2 for i in range(side.bit_length()))
-    mask = draft.texture("shadow mask", size, side, make=lambda made: _mask_texture(made, side))
-    soft = draft.texture(
-        "soft shadow", side * side, side, make=lambda made: clamped(made.context.gl.texture((side, side), 1))
-    )
+    mask = drawn_texture(draft, "shadow mask", size, side, side, make=lambda made: _mask_texture(made, side))
+    soft = drawn_texture(draft, "soft shadow", side * side, side, side)
     meshes = tuple(
         loose_mesh(draft, index, "shadow_mask.vert", "shadow_mask.frag", level=thrown_level(draft, index))
         for index in range(len(draft.avatars))
     )
-    softened = draft.program("shadow_cells.vert", "shadow.frag", samplers=("mask",))
-    softening = draft.array(softened)
+    softening = draft.array(draft.program("shadow_cells.vert", "shadow.frag", samplers=("mask",)))
     x, y, z = _lamp_of(draft, direction).tolist()
     edge = 2 * float(np.tan(np.radians(softness))) * float(np.hypot(np.hypot(x, z), y)) / y
     lamp = ShadowLamp((-x / y, -z / y), edge, height, side, draft.patches(), draft.dual)
-    holds = draft.keep(MaskState, MaskState)
-    parts = behind_parts(draft, "shadow_cells.vert", "laid.frag", mask, soft, samplers=("mask", "soft"))
-    shadow = ShadowPass("ground: shadow", *parts, strength, lamp, mask, soft, holds)
-    targets = target_of(draft, mask), target_of(draft, soft)
-    owned = (*(handle for one in meshes for handle in one.handles), mask, soft, *targets, softened, softening)
-    return MaskPass("ground: mask", owned, lamp, meshes, mask, targets, softened, softening, shadow, holds), shadow
+    parts = behind_parts(draft, "shadow_cells.vert", "laid.frag", mask.color, soft.color, samplers=("mask", "soft"))
+    shadow = ShadowPass("ground: shadow", *parts, strength, lamp, mask, soft)
+    owned = (*(handle for one in meshes for handle in one.handles), *mask.handles, *soft.handles, softening)
+    return MaskPass("ground: mask", owned, lamp, meshes, softening, shadow), shadow
 
 
 def thrown_level(draft: Draft, avatar: int) -> int:
@@ -96,6 +92,10 @@ class ShadowLamp(NamedTuple):
     def cells(self) -> int:
         return (self.side >> CELL) ** 2
 
+    def footprint(self, drawing: Drawing) -> "Footprint | None":
+        """Where this frame's shadow lies."""
+        return drawing.once(self, lambda: footprint(drawing, self))
+
 
 class Footprint(NamedTuple):
     """Where a frame's shadow can lie."""
@@ -103,30 +103,19 @@ class Footprint(NamedTuple):
     sheet: Sheet
     texel: float  # metres a texel
     tall: float  # metres above the ground of the highest that throws it
+    spread: float  # texels that the edge of the highest is wide
+    reach: int  # cells that the shadow may lie beside what throws it
 
-    def spread(self, lamp: ShadowLamp) -> float:
-        """Texels that the edge of the highest is wide."""
-        return lamp.edge * self.tall / self.texel
-
-    def reach(self, lamp: ShadowLamp) -> int:
-        """Cells that the shadow may lie beside what throws it."""
-        return ceil(max(self.spread(lamp), SEARCHED / self.texel) / (1 << CELL))
-
-
-class MaskState:
-    def __init__(self):
-        self.key: tuple[object, ...] | None = None
-
-    def footprint(self, drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
-        """Where this frame's shadow lies."""
-        return drawing.once(self, lambda: footprint(drawing, lamp))
+    @property
+    def across(self) -> float:
+        """Metres of its side."""
+        return self.sheet.reach[2]
 
 
 def footprint(drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
     """The rectangle of the ground that the avatars' shadow lies in; None: nothing is above it.
 
-    Its place goes by whole steps of texels, their size by quarters of a power of two: a body that moves on keeps the
-    grain of its outline.
+    Its place goes by steps of texels, their size by quarters of a power of two: a moving outline keeps its grain.
     """
     world_from_view = np.linalg.inv(view_from_world(drawing.inputs.camera))
     balls = [
@@ -149,8 +138,9 @@ def footprint(drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
     texel = float(np.ceil(texel / quarter) * quarter)
     first = np.floor(low / (STEP * texel)) * STEP * texel - STEP * texel
     anchor = np.array([first[0], lamp.height, first[1]])
-    across = lamp.side * texel
-    return Footprint(Sheet(anchor, (0.0, 0.0, across, across)), texel, tall)
+    across, spread = lamp.side * texel, lamp.edge * tall / texel
+    reach = ceil(max(spread, SEARCHED / texel) / (1 << CELL))
+    return Footprint(Sheet(anchor, (0.0, 0.0, across, across)), texel, tall, spread, reach)
 
 
 @dataclass(frozen=True)
@@ -159,12 +149,11 @@ class ShadowPass(PassBehind):
 
     strength: float
     lamp: ShadowLamp
-    mask: Handle[moderngl.Texture]
-    soft: Handle[moderngl.Texture]
-    holds: MaskState
+    mask: Image
+    soft: Image
 
     def decide(self, drawing: Drawing) -> Decision:
-        here = self.holds.footprint(drawing, self.lamp)
+        here = self.lamp.footprint(drawing)
         box = None if here is None else here.sheet.box(drawing.inputs.camera)
         if here is None or box is None:
             return SHADOW_AWAY
@@ -173,15 +162,14 @@ class ShadowPass(PassBehind):
         return Decision(PassState.RUNS, f"{here.texel * 1e3:.0f} mm a texel")
 
     def draw(self, drawing: Drawing) -> None:
-        here, program = self.holds.footprint(drawing, self.lamp), drawing.resources[self.program]
+        here, program = self.lamp.footprint(drawing), drawing.resources[self.array].program
         assert here is not None
-        across = self.lamp.side * here.texel
-        set_uniforms(program, across=across, reach=here.reach(self.lamp), strength=self.strength)
+        set_uniforms(program, across=here.across, reach=here.reach, strength=self.strength)
         self.draw_sheet(drawing, here.sheet)
 
     def render(self, resources: PlanResources) -> None:
-        resources[self.mask].use(0)
-        resources[self.soft].use(1)
+        resources[self.mask.color].use(0)
+        resources[self.soft.color].use(1)
         resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.lamp.cells)
 
 
@@ -190,91 +178,80 @@ class MaskPass(Pass):
     """What the lamp throws on the ground, and the shadow that this makes."""
 
     lamp: ShadowLamp
-    meshes: tuple[LooseMesh, ...]
-    mask: Handle[moderngl.Texture]
-    # that draw on the mask, and on the shadow softened
-    targets: tuple[Handle[moderngl.Framebuffer], Handle[moderngl.Framebuffer]]
+    meshes: tuple[DrawnMesh, ...]
     # what makes a shadow of the mask
-    softened: Handle[moderngl.Program]
     softening: Handle[moderngl.VertexArray]
     shadow: ShadowPass
-    holds: MaskState
 
     def decide(self, drawing: Drawing) -> Decision:
         read = self.shadow.decide(drawing)
         if not read.runs:
             return read
-        return STILL if self.holds.key == self._wanted(drawing) else MOVED
+        return STILL if drawing.resources.holds.get(self.shadow.mask.color) == self._wanted(drawing) else MOVED
 
     def draw(self, drawing: Drawing) -> None:
         """The mask, and the shadow softened."""
-        here, resources = self.holds.footprint(drawing, self.lamp), drawing.resources
+        here, resources = self.lamp.footprint(drawing), drawing.resources
         assert here is not None
         rows = self._rows(drawing, here)
-        for program in {one.program for one in self.meshes}:
-            set_uniforms(resources[program], mask_from_view=rows)
-        self._begin(resources)
-        for one in self.meshes:
-            one.draw(drawing)
-        drawing.gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
-        resources[self.mask].build_mipmaps()
-        self._soften(resources, here)
+        for program in {resources[one.array].program for one in self.meshes}:
+            set_uniforms(program, mask_from_view=rows)
+        self._throw(resources, lambda one: one.draw(drawing))
+        resources[self.shadow.mask.color].build_mipmaps()
+        # the plane's metres to the whole of the target
+        columns = np.array([[2 / here.across, 0, 0, 0], [0, 2 / here.across, 0, 0], [-1, -1, 0, 1]])
+        set_uniforms(
+            resources[self.softening].program, clip_from_plane=columns, across=here.across, reach=here.reach,
+            spread=here.spread, search=max(float(np.log2(SEARCHED / here.texel)), 0.0),
+        )  # fmt: skip
+        self._draw_soft(resources)
         drawing.inputs.framebuffer.use()
-        self.holds.key = self._wanted(drawing)
+        resources.holds[self.shadow.mask.color] = self._wanted(drawing)
 
     def warm(self, warming: Warming) -> None:
-        self._begin(warming.resources)
-        for one in self.meshes:
-            one.warm(warming.resources)
-        warming.resources.context.gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
+        self._throw(warming.resources, lambda one: one.warm(warming.resources))
         self._draw_soft(warming.resources)
         # nothing that a frame would keep
-        self.holds.key = None
+        warming.resources.holds.pop(self.shadow.mask.color, None)
 
-    def _begin(self, resources: PlanResources) -> None:
-        gl, target = resources.context.gl, resources[self.targets[0]]
+    def _throw(self, resources: PlanResources, draw: Callable[[DrawnMesh], None]) -> None:
+        """The avatars into the mask."""
+        gl, target = resources.context.gl, resources[self.shadow.mask.framebuffer]
         target.use()
         target.clear()
         gl.enable_only(moderngl.BLEND)
         # the lowest that is in the way, whatever the order of triangles
         gl.blend_func = (moderngl.ONE, moderngl.ONE)
         gl.blend_equation = moderngl.MAX, moderngl.MAX
-
-    def _soften(self, resources: PlanResources, here: Footprint) -> None:
-        across, search = self.lamp.side * here.texel, max(float(np.log2(SEARCHED / here.texel)), 0.0)
-        # the plane's metres to the whole of the target
-        columns = np.array([[2 / across, 0, 0, 0], [0, 2 / across, 0, 0], [-1, -1, 0, 1]])
-        set_uniforms(
-            resources[self.softened], clip_from_plane=columns, across=across, reach=here.reach(self.lamp),
-            spread=here.spread(self.lamp), search=search,
-        )  # fmt: skip
-        self._draw_soft(resources)
+        for one in self.meshes:
+            draw(one)
+        gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
 
     def _draw_soft(self, resources: PlanResources) -> None:
-        target = resources[self.targets[1]]
+        target = resources[self.shadow.soft.framebuffer]
         target.use()
         target.clear()
         resources.context.gl.enable_only(0)
-        resources[self.mask].use(0)
+        resources[self.shadow.mask.color].use(0)
         resources[self.softening].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.lamp.cells)
 
     def _rows(self, drawing: Drawing, here: Footprint) -> Float[np.ndarray, "3 4"]:
         """Rows across and along the mask, [-1, 1], and of height, [0, 1], of points in view space."""
-        (sx, sz), across = self.lamp.slant, self.lamp.side * here.texel
-        x0, _, z0 = here.sheet.anchor.tolist()
-        low = self.lamp.height
+        (sx, sz), across = self.lamp.slant, here.across
+        x0, low, z0 = here.sheet.anchor.tolist()
         rows = [[2 / across, 2 * sx / across, 0, -2 * (x0 + sx * low) / across - 1],
                 [0, 2 * sz / across, 2 / across, -2 * (z0 + sz * low) / across - 1],
                 [0, 1 / here.tall, 0, -low / here.tall]]  # fmt: skip
         return np.array(rows) @ np.linalg.inv(view_from_world(drawing.inputs.camera))
 
-    def _wanted(self, drawing: Drawing) -> tuple[object, ...]:
+    def _wanted(self, drawing: Drawing) -> tuple[Hashable, ...]:
         """Equal while nothing moves, whatever the camera does."""
         poses = tuple(part.tobytes() for pose in drawing.inputs.poses for part in pose[:2])
-        moved = tuple(one.loose.motion.found.version for one in self.meshes if one.loose is not None)
+        added = [one for mesh in self.meshes for one in mesh.added]
+        moved = tuple(one.motion().version for one in added if isinstance(one, LooseOffsets))
         faces = tuple(one.mesh.face.frame(drawing) for one in self.meshes if one.mesh.face is not None)
         turned = tuple(part.tobytes() for face in faces for part in (face.weights, face.gaze))
-        return drawing.resources[self.mask], self.lamp, poses, moved, turned
+        return self.lamp, poses, moved, turned
 
 
 def _mask_texture(made: PlanResources, side: int) -> moderngl.Texture:

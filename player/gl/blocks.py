@@ -51,7 +51,7 @@ OF_BONES = ("Bones", "Turns", "Duals")
 
 
 def block_bytes(name: str, bones: int = len(JOINTS)) -> int:
-    """Of a block; those that hold every bone's grow with their number (shaders/bone_count.glsl)."""
+    """Of a block; those that hold every bone's grow with their number (shaders/counts.glsl)."""
     size = BINDING[name][0].itemsize
     return size // len(JOINTS) * bones if name in OF_BONES else size
 

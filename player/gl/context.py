@@ -287,8 +287,7 @@ class Egl:
         text = self.function("eglQueryDeviceStringEXT", c_char_p, c_void_p, c_int)
         attribute = self.function("eglQueryDeviceAttribEXT", c_uint, c_void_p, c_int, POINTER(c_void_p))
         handles, count = (c_void_p * 64)(), c_int()
-        if not query(64, handles, byref(count)):
-            raise OSError(f"eglQueryDevicesEXT: {self.error()}")
+        self._need(query(64, handles, byref(count)), "eglQueryDevicesEXT")
         devices = []
         for index in range(count.value):
             handle = handles[index]
@@ -310,6 +309,10 @@ class Egl:
         code = self.library.eglGetError()
         return EGL_ERRORS.get(code, f"error {code:#x}")
 
+    def _need(self, result: int | None, call: str) -> None:
+        if not result:
+            raise OSError(f"{call}: {self.error()}")
+
     def driver(self, device: EglDevice | None) -> Driver:
         """A 3.3 core context with no surface, of Mesa's own platform without a device. An OSError says which call
         refused and why."""
@@ -318,25 +321,20 @@ class Egl:
             raise OSError("this EGL has no EGL_MESA_platform_surfaceless")
         get_display = self.function("eglGetPlatformDisplayEXT", c_void_p, c_uint, c_void_p, POINTER(c_int))
         display = get_display(platform, device.handle if device else None, None)
-        if not display:
-            raise OSError(f"eglGetPlatformDisplayEXT: {self.error()}")
-        if not lib.eglInitialize(display, None, None):
-            raise OSError(f"eglInitialize: {self.error()}")
-        if not lib.eglBindAPI(EGL_OPENGL_API):
-            raise OSError(f"eglBindAPI: {self.error()}")
+        self._need(display, "eglGetPlatformDisplayEXT")
+        self._need(lib.eglInitialize(display, None, None), "eglInitialize")
+        self._need(lib.eglBindAPI(EGL_OPENGL_API), "eglBindAPI")
         config, count = c_void_p(), c_int()
         wanted = (c_int * len(EGL_CONFIG))(*EGL_CONFIG)
         if not lib.eglChooseConfig(display, wanted, byref(config), 1, byref(count)) or not count.value:
             raise OSError(f"eglChooseConfig: no config with desktop OpenGL ({self.error()})")
         asked = (c_int * len(EGL_CONTEXT))(*EGL_CONTEXT)
         context = lib.eglCreateContext(display, config, None, asked)
-        if not context:
-            raise OSError(f"eglCreateContext: {self.error()}")
+        self._need(context, "eglCreateContext")
 
         def make_current() -> None:
             lib.eglBindAPI(EGL_OPENGL_API)
-            if not lib.eglMakeCurrent(display, None, None, context):
-                raise OSError(f"eglMakeCurrent: {self.error()}")
+            self._need(lib.eglMakeCurrent(display, None, None, context), "eglMakeCurrent")
 
         let_go = lambda: lib.eglMakeCurrent(display, None, None, None)
         destroy = lambda: lib.eglDestroyContext(display, context)

@@ -56,6 +56,8 @@ def mipmapped_bytes(shape: tuple[int, ...]) -> int:
 
 
 def read_finer_mip(context: Context, texture: moderngl.Texture) -> None:
-    """Set MIP_BIAS as a state of the texture; moderngl has no word for it."""
+    """Set MIP_BIAS on a software rasteriser, as a state of the texture; moderngl has no word for it."""
+    if not context.software:
+        return
     texture.use()
     context.function("glTexParameterf", c_uint, c_uint, c_float)(TEXTURE_2D, LOD_BIAS, MIP_BIAS)

@@ -13,9 +13,8 @@ from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import BIG_POSE
 from avatar.skinning import SkinWeights
 from player.draw.posing import Poser, dual_parts
-from player.effects.loose_motion import LONGEST, LooseMotion
+from player.effects.loose_motion import LONGEST, REACH, LooseMotion
 from player.effects.loose_parts import loose_parts
-from player.effects.loose_sheets import REACH
 from player.scene.effects import Effects
 from player.scene.mannequin import mannequin
 

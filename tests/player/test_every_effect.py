@@ -11,7 +11,7 @@ from loose_avatar import dance, danced
 from avatar.camera import Camera, orbit_camera
 from avatar.gltf.avatar_file import write_avatar
 from command.settings import settings_of
-from player.effects import contact, ground_plane, outline, secondary_motion, shaded, shadow
+from player.effects import avatar, contact, ground_plane, outline, secondary_motion, shadow
 from player.effects.background import Background
 from player.effects.contact import Contact
 from player.effects.foot_lock import FootLock
@@ -52,7 +52,7 @@ class Unseen(NamedTuple):
 
 # the GL objects that settings of each effect add to a bare frame
 ADDS = {
-    "light": (Light("lamps"), {"buffer": 2}),
+    "light": (Light("lamps"), {"buffer": 3}),
     "ground": (Ground(), {"program": 4, "vertex_array": 4, "texture": 2, "framebuffer": 2}),
     "contact": (Contact(1.0), {"program": 3, "vertex_array": 3, "buffer": 4, "texture": 1, "framebuffer": 1}),
     "grid": (Grid(), {"program": 1, "vertex_array": 1}),
@@ -75,8 +75,8 @@ UNSEEN = {
     "contact hidden": Unseen(Contact(), AWAY, {"contact: avatar on the ground": contact.AWAY}),
     "contact small": Unseen(Contact(), FAR, {"contact: avatar on the ground": contact.SMALL}),
     "grid hidden": Unseen(Grid(), UP, {"grid": ground_plane.AWAY}),
-    "outline hidden": Unseen(Outline(), AWAY, {"outline": outline.OUT_OF_VIEW}),
-    "view small": Unseen("network", FAR, {"avatar: view network": shaded.TOO_SMALL}),
+    "outline hidden": Unseen(Outline(), AWAY, {"outline": outline.NONE_IN_VIEW}),
+    "view small": Unseen("network", FAR, {"avatar: view network": avatar.TOO_SMALL}),
     "swing hidden": Unseen(SecondaryMotion(), AWAY, {SWINGS: secondary_motion.OUT_OF_VIEW}, EVERYTHING),
     "swing small": Unseen(SecondaryMotion(), FAR, {SWINGS: secondary_motion.SMALL}, EVERYTHING),
     "swing still": Unseen(SecondaryMotion(), CAMERA, {SWINGS: secondary_motion.AT_REST}, EVERYTHING, rests=True),

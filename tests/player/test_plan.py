@@ -85,7 +85,7 @@ def test_a_film_stays_open_while_asked_for_and_is_uploaded_when_its_frame_change
     renderer.change(effects=EVERYTHING, size=(50, 40))
     assert behind in renderer.plan.kept.values()
     closed = []
-    monkeypatch.setattr(behind.source, "close", lambda: closed.append(1))
+    monkeypatch.setattr(behind, "close", lambda: closed.append(1))
     renderer.change(background=backgrounds["color"])
     assert closed == [1] and behind not in renderer.plan.kept.values()
     renderer = render(avatar, SIZE, effects=Effects("off", antialiasing="none"), background=backgrounds["video"])

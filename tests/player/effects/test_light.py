@@ -145,7 +145,7 @@ def test_a_panorama_lights_avatars_as_its_lamps_would(render, shown, avatar, pos
     own = render(avatar, SIZE, effects=replace(OFF, light=Light("panorama")), background=behind["hdr"])
     light = fitted_light(read_panorama(path), np.radians(40.0), gamma=1.0, most=4)
     (drawn,) = [item for item in own.plan.passes if item.name == "avatar: paper"]
-    assert drawn.shading.variants[-1].light.light == light and 1 <= len(light.lamps) <= 4
+    assert drawn.variants[-1].added[0].light == light and 1 <= len(light.lamps) <= 4
     named = render(avatar, SIZE, effects=replace(OFF, light=Light("panorama", path)), background=behind["image"])
     lit, turned_back = own.draw([pose], CAMERA), named.draw([pose], CAMERA)
     body = shown(OFF)[..., 3] > 0

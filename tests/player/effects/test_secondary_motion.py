@@ -40,7 +40,7 @@ def test_loose_parts_are_drawn_where_the_simulation_has_them_and_skin_stays(rend
     assert decision(moving).runs and "particles" in decision(moving).why
     # the offsets added by hand to the canonical vertices, each turned back by its skin: the same picture
     level = dressed_avatar.levels[0]
-    motion = next(item.offsets.motion.found for item in moving.plan.passes if "secondary motion" in item.name)
+    motion = next(item.offsets.motion() for item in moving.plan.passes if "secondary motion" in item.name)
     if skinning == "lbs":
         added = np.einsum("vk,vkc->vc", motion.parts.follows, motion.offsets[motion.parts.near])
         transforms = skin_transforms(pose[0], dressed_avatar.joint_positions, pose[1])
@@ -115,7 +115,7 @@ def test_copies_of_an_avatar_swing_each_in_its_own_way(render, dressed_avatar):
     for frame in range(43):
         two.move([dance(frame / 60), still], frame / 60)
     image = two.draw([pose, still], CAMERA)
-    loose = [item.offsets.motion.found.reach for item in two.plan.passes if "secondary motion" in item.name]
+    loose = [item.offsets.motion().reach for item in two.plan.passes if "secondary motion" in item.name]
     assert np.array_equal(image, alone) and loose[0] > 0.05 > loose[1]
 
 
