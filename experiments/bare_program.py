@@ -47,7 +47,7 @@ class BareProgram:
     def __init__(self, context: Context, avatar: Avatar, size: tuple[int, int], color: Color):
         context.make_current()
         gl, level = context.gl, avatar.levels[0]
-        counts = f"const int BONE_COUNT = {level.bones}, INFLUENCES = {level.influences};\n"
+        counts = f"const int BONE_COUNT = {level.bones};\nconst int INFLUENCES = {level.influences};\n"
         self.gl, self.color, self.poser = gl, color, Poser(avatar, level)
         self.program = compile_program(gl, "avatar.vert", "avatar.frag", PLAIN_SHADER, {"counts.glsl": counts})
         for block in BINDING:

@@ -319,7 +319,7 @@ class Draft:
         """Two shaders in a variant. A sampler reads the texture unit of its place among `samplers`. `constants` are
         includes written for one avatar; without them avatars share the program."""
 
-        counts = f"const int BONE_COUNT = {self.bones}, INFLUENCES = {self.influences};\n"
+        counts = f"const int BONE_COUNT = {self.bones};\nconst int INFLUENCES = {self.influences};\n"
 
         def make(resources: PlanResources) -> moderngl.Program:
             """Compile it, and give its blocks and samplers their places."""

@@ -14,7 +14,7 @@ from avatar.skeleton import skin_transforms
 from avatar.skinning import blended_rotations
 from player.draw.posing import posed_vertices
 from player.effects.background_source import read_panorama
-from player.effects.light import Light
+from player.effects.light import AvatarLight, Light
 from player.effects.panorama import direction_from_pixel
 from player.effects.panorama_light import LUMINANCE, NORMALS, fitted_light, irradiance
 from player.film.shot import Shot, with_whole_paths
@@ -145,7 +145,8 @@ def test_a_panorama_lights_avatars_as_its_lamps_would(render, shown, avatar, pos
     own = render(avatar, SIZE, effects=replace(OFF, light=Light("panorama")), background=behind["hdr"])
     light = fitted_light(read_panorama(path), np.radians(40.0), gamma=1.0, most=4)
     (drawn,) = [item for item in own.plan.passes if item.name == "avatar: paper"]
-    assert drawn.variants[-1].added[0].light == light and 1 <= len(light.lamps) <= 4
+    (lit_by,) = [one.light for one in drawn.variants[-1].added if isinstance(one, AvatarLight)]
+    assert lit_by == light and 1 <= len(light.lamps) <= 4
     named = render(avatar, SIZE, effects=replace(OFF, light=Light("panorama", path)), background=behind["image"])
     lit, turned_back = own.draw([pose], CAMERA), named.draw([pose], CAMERA)
     body = shown(OFF)[..., 3] > 0
