@@ -19,6 +19,8 @@ def numpy_field(field: CanonicalField[torch.Tensor]) -> NumpyField:
     """The field behind functions that take and give float64."""
 
     def asked(function: Callable[..., torch.Tensor]) -> Callable[..., Array]:
+        """The function of tensors as one of arrays."""
+
         def answers(*arrays: Array) -> Array:
             """What the function gives; a piece for each core: within one, most of the time is spent between torch's own
             parallel loops."""

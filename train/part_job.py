@@ -162,6 +162,7 @@ def _trained(job: PartJob, part: Untrained, reporter: Reporter) -> tuple[Positio
     points, whole = part.template.to(part.rays.ends.device), True
 
     def report(iteration: int, step: StepReport) -> None:
+        """Show a step, and say so where the part begins to break off from its template."""
         nonlocal whole
         last.update(vars(step))
         reporter.step(iteration, step_note(step))

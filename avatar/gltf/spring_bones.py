@@ -32,13 +32,13 @@ HOLDERS |= {JOINTS.index(name): 0 for name in ("left_hip", "right_hip", "left_kn
 SOLID = (("left_hip", "left_knee"), ("right_hip", "right_knee"), ("left_knee", "left_ankle"),
          ("right_knee", "right_ankle"), ("spine3", "neck"), ("left_collar", "left_shoulder"),
          ("right_collar", "right_shoulder"), ("neck", "head"))  # fmt: skip
-# of each joint of a chain, in VRM's units; metres
+# what each joint of a chain has, in VRM's units; metres
 STIFFNESS, DRAG, GRAVITY, HIT = 1.0, 0.4, 0.1, 0.01
 # spheres that stand for a capsule in VRM 0.x
 SPHERES = 4
 
 
-class Chain(NamedTuple):
+class HungChain(NamedTuple):
     """Joints from top to hem, and the end of the last."""
 
     holder: int  # the file's joint that the first hangs on
@@ -136,7 +136,7 @@ def holder_of(weights: Float[Array, "own joints"], loose: Float[Array, "own"]) -
 
 def hung_chains(
     points: Float[Array, "vertices 3"], piece: Int[Array, "own"], holder: int, axis: Float[Array, "3"]
-) -> list[Chain]:
+) -> list[HungChain]:
     """The chains of one piece, around the vertical through its holder."""
     own, found = points[piece], []
     angle = np.arctan2(own[:, 0] - axis[0], own[:, 2] - axis[2])
@@ -155,7 +155,7 @@ def hung_chains(
     for places, pull in found:
         whole = np.zeros(len(points))
         whole[piece] = pull / total
-        chains.append(Chain(holder, places, whole))
+        chains.append(HungChain(holder, places, whole))
     return chains
 
 

@@ -151,6 +151,7 @@ def on_zero_set(field: FusedField, points: Float[Array, "n 3"], steps: int = 2) 
     """Points near the surface moved along the gradient onto the zero set: Newton steps, each at most FARTHEST."""
 
     def moved(part: torch.Tensor) -> torch.Tensor:
+        """Points after some steps of Newton's towards the surface."""
         for _ in range(steps):
             distance = field.distance(part)
             # what lies farther off is no surface of the field's but where layers were divided (layers.py)

@@ -29,7 +29,7 @@ class Calibration(NamedTuple):
 
 IDENTITY = np.tile([0.0, 0, 0, 1], (52, 1))
 IDENTITY.setflags(write=False)
-# of a rig whose bones are identity in the T-pose
+# that for a rig whose bones are identity in the T-pose
 NORMALISED = Calibration(IDENTITY, IDENTITY)
 
 

@@ -89,6 +89,7 @@ class Pointer:
             self._holds = "wipe"
 
     def release(self, button: int) -> None:
+        """A button was let go: the tool keeps what it did, a click beside it picks."""
         if self._pressed is None or self._pressed[0] != button:
             return
         edit = self.parts.posing.edit

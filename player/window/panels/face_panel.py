@@ -27,6 +27,7 @@ class FacePanel:
         self.both_sides = True
 
     def draw(self, edit: PoseEdit) -> None:
+        """Sliders of gaze and shapes, by region."""
         ui, session, gaze = self.ui, edit.session, edit.session.pose.gaze
         if ui.button("Reset face", "The whole face at rest.", name="reset face"):
             session.set_face(np.zeros(len(SHAPES)), np.zeros((2, 2)))
