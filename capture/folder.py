@@ -352,11 +352,7 @@ def _read_frames(
 
 
 def input_kind(facts: dict[str, Any], place: str = "capture.json") -> str:
-    """The kind of a capture, by its capture.json; synthetic captures that say nothing are *given*.
-
-    Raises:
-        AssetError: another kind is named.
-    """
+    """The kind of a capture, by its capture.json (synthetic ones that say nothing: *given*), or AssetError."""
     kind = str(facts.get("input", "from pixels" if "source" in facts else "given")).replace("_", " ")
     if kind not in INPUTS:
         raise AssetError(f"{place}: input should be one of {', '.join(INPUTS)}, is {one_line(repr(facts['input']))}")

@@ -46,11 +46,7 @@ class HeldOutView:
         return self.pixels("parts", "L")
 
     def keypoints(self) -> Keypoints:
-        """What a detector finds in the picture.
-
-        Raises:
-            AssetError: the truth holds no keypoints of its pictures.
-        """
+        """What a detector finds in the picture; AssetError where the truth holds no keypoints."""
         path = self.folder / "keypoints" / f"{self.name}.json"
         if not path.exists():
             raise AssetError(

@@ -82,7 +82,7 @@ def in_clothes(truth: Estimate, footage: Footage, thickness: Array | float) -> F
     person = truth.person
     normals = vertex_normals(person.vertices(truth.g), person.body.faces)
     worn = np.broadcast_to(thickness, len(normals))[:, None] * normals
-    clothed = replace(truth, person=person.with_offsets(worn))
+    clothed = replace(truth, person=replace(person, offsets=worn))
     return replace(footage, masks=np.stack([mask_of(clothed, footage, i) for i in range(len(truth.root))]))
 
 

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 
 from avatar.kinematics import DESCENDS, turned
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import PARTS, joint_transforms, skin_transforms
+from avatar.skeleton import joint_transforms, skin_transforms
 from capture.fit.align import metres_of_a_pixel, moving_joints
 from capture.folder import CaptureSubject, PartVideo
 
@@ -43,7 +43,7 @@ class PoseCorrection(nn.Module):
     def __init__(self, video: PartVideo, subject: CaptureSubject):
         super().__init__()
         assert video.axis_angle is not None and video.root is not None
-        moving = moving_joints(subject, PARTS.index(video.part), video)
+        moving = moving_joints(subject, video)
         twists = np.stack([
             frame_twists(a, root, subject.joints, moving) for a, root in zip(video.axis_angle, video.root)
         ])  # fmt: skip

@@ -72,12 +72,10 @@ class _Scene(NamedTuple):
     def part(self) -> int:
         return PARTS.index(self.video.part)
 
-
-class _Tolerance(NamedTuple):
-    """How far outlines are trusted, pixels."""
-
-    cut: float  # farther apart they weigh little
-    sigma: float  # standard deviation of one outline pixel
+    @property
+    def scale(self) -> float:
+        """Pixels of the video for one of an image 256 high."""
+        return self.video.masks.shape[1] / 256
 
 
 class _DrawnTemplate(NamedTuple):
@@ -99,10 +97,10 @@ def metres_of_a_pixel(video: PartVideo) -> float:
     return float(np.median(sizes))
 
 
-def moving_joints(subject: CaptureSubject, part: int, video: PartVideo, *, least: float = 20.0) -> Int[Array, "m"]:
+def moving_joints(subject: CaptureSubject, video: PartVideo, *, least: float = 20.0) -> Int[Array, "m"]:
     """Joints whose turning shows in the video: some vertex of the part moves `least` pixels a radian or more."""
     assert video.axis_angle is not None and video.root is not None
-    chosen = np.ones(len(subject.rest), bool) if part == 0 else subject.part == part
+    chosen = np.ones(len(subject.rest), bool) if video.part == "body" else subject.part == PARTS.index(video.part)
     # how much of a vertex follows joint j
     moves = dense_weights(subject.skin.of(chosen)) @ DESCENDS
     away = np.linalg.norm(subject.rest[chosen][:, None] - subject.joints, axis=2)
@@ -116,14 +114,13 @@ def align(
 ) -> Aligned:
     """Poses of a posed video moved onto its masks (see the top of this file)."""
     assert video.axis_angle is not None and video.root is not None
-    part = PARTS.index(video.part)
-    moving = moving_joints(subject, part, video)
-    scene = _Scene(video, subject, moving, _near_faces(subject, part))
+    moving = moving_joints(subject, video)
+    scene = _Scene(video, subject, moving, _near_faces(subject, PARTS.index(video.part)))
     given = matrix_from_axis_angle(video.axis_angle)
     R, root = given.copy(), video.root.copy()
     frames, params = len(root), 3 * len(moving) + 3
     sigma = np.r_[np.full(3, ROOT), np.full(params - 3, np.radians(PRIOR))]
-    scale = video.masks.shape[1] / 256
+    scale = scene.scale
     outlines = [pixel_contour(mask) for mask in video.masks]
     edge, beyond = np.zeros(frames), np.zeros(len(subject.vertices))
     cells = ShapeCells(subject, CELL * metres_of_a_pixel(video) * scale)
@@ -132,11 +129,10 @@ def align(
         first, colored = number == 0, number >= ROUNDS - COLORED
         views = [_view(scene, f, R[f], root[f], slide=first) for f in range(frames)]
         equations = NormalEquations(frames, params)
-        tolerance = _Tolerance(cut, OUTLINE * scale)
         away: list[Array] = []
         corners: list[Array] = []
         for f, view in enumerate(views):
-            edge[f], r, corner = _add_outline(equations, scene, f, view, outlines[f], tolerance, beyond)
+            edge[f], r, corner = _add_outline(equations, scene, f, view, outlines[f], cut, beyond)
             away.append(r)
             corners.append(corner)
         if cut < 15 * scale:
@@ -193,16 +189,16 @@ def _view(scene: _Scene, f: int, R: Array, root: Array, *, slide: bool) -> _Draw
 
 
 def _add_outline(
-    equations: NormalEquations, scene: _Scene, f: int, view: _DrawnTemplate, mask: Contour, tolerance: _Tolerance,
+    equations: NormalEquations, scene: _Scene, f: int, view: _DrawnTemplate, mask: Contour, cut: float,
     beyond: Float[Array, "vertices"],
 ) -> tuple[float, Float[Array, "n"], Int[Array, "n"]]:  # fmt: skip
-    """Add the outline term of one frame, the person `beyond` (metres) the template's vertices.
+    """Add the outline term of one frame, the person `beyond` (metres) the template's vertices; outlines more than
+    `cut` pixels apart weigh little.
 
     Returns the mean distance of the outlines near the part, how far outside (metres) the mask's pixels are, and the
     vertices that they belong to.
     """
-    template, camera, cut = view.outline, scene.video.cameras[f], tolerance.cut
-    subject = scene.subject
+    template, camera, subject = view.outline, scene.video.cameras[f], scene.subject
     if len(template.at) == 0 or len(mask.at) == 0:
         return np.inf, np.zeros(0), np.zeros(0, int)
     there, d_there = mask.nearest(*template, cut)
@@ -215,7 +211,7 @@ def _add_outline(
     length = np.r_[d_there, d_back]
     face, n = view.face[p], mask.normals[q]
     r = ((mask.at[q] - template.at[p] + view.slid[p]) * n).sum(1)
-    weight = robust_weight(length**2, cut) / tolerance.sigma**2
+    weight = robust_weight(length**2, cut) / (OUTLINE * scene.scale) ** 2
     if view.slid.any():
         weight = weight * scene.near[face]
     # stands for the pixel: its derivative varies slowly over a face
@@ -239,9 +235,8 @@ def outline_offset(video: PartVideo, subject: CaptureSubject) -> float:
     Only outlines within 5 pixels of each other are compared, where the template shows the part.
     """
     assert video.axis_angle is not None and video.root is not None
-    scale = video.masks.shape[1] / 256
     scene = _Scene(video, subject, np.zeros(0, int), _near_faces(subject, PARTS.index(video.part)))
-    found = []
+    scale, found = scene.scale, []
     for f in even(len(video.masks), 8):
         view = _view(scene, f, matrix_from_axis_angle(video.axis_angle[f]), video.root[f], slide=False)
         template, mask = view.outline, pixel_contour(video.masks[f])

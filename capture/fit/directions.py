@@ -141,10 +141,6 @@ def place_of(found: Directions, focal: float, centre: Float[Array, "2"]) -> Floa
 
 def opposite(names: tuple[str, ...]) -> Int[Array, "points"]:
     """For each named point the one of the other side; itself where there is none."""
-    index = {name: k for k, name in enumerate(names)}
-    out = []
-    for k, name in enumerate(names):
-        side, _, rest = name.partition("_")
-        other = {"left": "right", "right": "left"}.get(side)
-        out.append(index.get(f"{other}_{rest}", k))
-    return np.array(out)
+    index, other = {name: k for k, name in enumerate(names)}, {"left": "right", "right": "left"}
+    parted = [name.partition("_") for name in names]
+    return np.array([index.get(f"{other.get(side)}_{rest}", k) for k, (side, _, rest) in enumerate(parted)])

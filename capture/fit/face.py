@@ -70,7 +70,8 @@ def with_own_face(estimate: Estimate, footage: Footage, head: Bool[Array, "verti
     for k, point in enumerate(footage.points):
         if len(point.vertices):
             bias[k] -= offsets[point.vertices].mean(0)
-    return replace(estimate, person=estimate.person.with_offsets(estimate.person.offsets + offsets), bias=bias)
+    person = replace(estimate.person, offsets=estimate.person.offsets + offsets)
+    return replace(estimate, person=person, bias=bias)
 
 
 def _still(head: Float[Array, "n 3"], features: Float[Array, "k 3"]) -> Float[Array, "m 3"]:

@@ -11,7 +11,7 @@ where s_v is the standard deviation of the marginal (the inverse of the normal e
 Videos that contradict each other widen the result (Birge 1932).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +24,6 @@ from capture.fit.person import Person
 from capture.fit.priors import Priors, shared_layout, standing
 from capture.fit.solve import assemble
 
-Report = Callable[[str], None]
-
 
 @dataclass(frozen=True)
 class Focal:
@@ -33,7 +31,7 @@ class Focal:
     sigma: float  # relative standard deviation
 
 
-def focal_of_videos(person: Person, footages: Mapping[str, Footage], report: Report) -> Focal:
+def focal_of_videos(person: Person, footages: Mapping[str, Footage], report: body.Report) -> Focal:
     """The focal length of the phone that took all `footages`, with the same guess and deviation in all.
 
     A footage's masks are not looked at.

@@ -85,10 +85,6 @@ class Estimate:
     heading: Float[Array, "frames 3 3"]  # the pelvis'
     angles: Float[Array, "frames 52 3"]  # the joints' (avatar/limits.py)
 
-    def placed(self, root: Float[Array, "frames 3"], heading: Float[Array, "frames 3 3"]) -> "Estimate":
-        """The first pose in frames of other places and headings."""
-        return replace(self, root=root, heading=heading, angles=np.tile(self.angles[:1], (len(root), 1, 1)))
-
     def skeleton(self) -> ShapedSkeleton:
         return ShapedSkeleton(self.person.joints(self.g), self.person.joint_directions)
 

@@ -93,7 +93,7 @@ def dressed(
     stiffness: tuple[float, ...] = STIFFNESS,
 ) -> Estimate:  # fmt: skip
     offsets = fit_offsets(estimate, footage, outlines, chosen, stiffness)
-    return replace(estimate, person=estimate.person.with_offsets(offsets))
+    return replace(estimate, person=replace(estimate.person, offsets=offsets))
 
 
 def fit_dressed(

@@ -66,9 +66,6 @@ class Person:
         top, sole = int(y.argmax()), int(y.argmin())
         return float(y[top] - y[sole]), self.vertex_directions[top, 1] - self.vertex_directions[sole, 1]
 
-    def with_offsets(self, offsets: Float[Array, "vertices 3"]) -> "Person":
-        return replace(self, offsets=offsets)
-
 
 def person_of(sex: str, stature: float | None = None) -> Person:
     """The people of one sex ("male", "female") who are `stature` metres tall; None: as tall as the free body is."""

@@ -89,10 +89,9 @@ class Shared(NamedTuple):
 
 
 def shared_layout(estimate: Estimate, footage: Footage) -> Shared:
-    g, points = len(estimate.g), 3 * len(footage.names)
+    g, points, angles = len(estimate.g), 3 * len(footage.names), 3 * len(footage.moving)
     mean = g + points + 1
-    return Shared(slice(0, g), slice(g, g + points), g + points, slice(mean, mean + 3 * len(footage.moving)),
-                  mean + 3 * len(footage.moving))  # fmt: skip
+    return Shared(slice(0, g), slice(g, g + points), g + points, slice(mean, mean + angles), mean + angles)
 
 
 def add_priors(equations: NormalEquations, estimate: Estimate, footage: Footage, priors: Priors) -> float:

@@ -50,11 +50,7 @@ def check_footage(part: str, footage: Footage) -> None:
 
 
 def check_upright(footage: Footage) -> None:
-    """Refuse a body's video whose ankles are above its shoulders.
-
-    Raises:
-        AssetError: the pictures are upside down.
-    """
+    """Refuse a body's video whose ankles are above its shoulders (AssetError)."""
 
     def height(part: str) -> float:
         rows = [k for k, name in enumerate(footage.names) if name.endswith(part)]
@@ -88,6 +84,5 @@ def check_fit(part: str, estimate: Estimate, footage: Footage) -> Bool[Array, "f
             f"{100 * far:.0f} cm off: are they of this video, and of one person?"
         )
     weighed = away * footage.sure
-    counted = [bool(np.isfinite(row).any()) for row in weighed]
-    middle = np.array([np.nanmedian(row) if some else 0.0 for row, some in zip(weighed, counted)])
+    middle = np.array([np.nanmedian(row) if np.isfinite(row).any() else 0.0 for row in weighed])
     return middle <= MISFIT

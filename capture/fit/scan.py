@@ -19,7 +19,7 @@ from capture.fit.person import person_of
 from capture.fit.points import body_points
 from capture.fit.refusals import check_fit, check_footage, check_upright
 from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
-from capture.read.template import TemplateMesh
+from capture.read.template import TemplateMesh, body_template
 from command.errors import AssetError
 from command.progress import Progress, ProgressBoard, Reporter, plural
 from command.workers import run_jobs
@@ -139,9 +139,8 @@ def _with_close_ups(
     person, videos = estimate.person, {}
     for each in done.values():
         videos |= each.videos
-    offsets = person.offsets + sum(each.offsets for each in done.values())
-    estimate = replace(estimate, person=person.with_offsets(offsets),
-                       g=estimate.g + sum(each.g for each in done.values()))  # fmt: skip
+    person = replace(person, offsets=person.offsets + sum(each.offsets for each in done.values()))
+    estimate = replace(estimate, person=person, g=estimate.g + sum(each.g for each in done.values()))
     said = [f"{name}: as the body holds it: {each.failure}" for name, each in done.items() if each.failure]
     return estimate, videos, said
 
@@ -158,11 +157,7 @@ class _Fit:
         return found
 
     def close_up(self, part: str, estimate: Estimate, footage: Footage) -> tuple[Estimate, FittedVideo]:
-        """Head or hand, after what was found before.
-
-        Raises:
-            AssetError: too few points show it, or nothing explains them.
-        """
+        """Head or hand, after what was found before; AssetError: too few points show it, or nothing explains them."""
         check_footage(part, footage)
         person, g = estimate.person, estimate.g
         if part == "head":
@@ -240,8 +235,5 @@ def carried(part: str, body: FittedVideo, joints: Float[Array, "52 3"]) -> Fitte
 
 def template_of(estimate: Estimate) -> TemplateMesh:
     person = estimate.person
-    base = person.body
     vertices, joints = person.vertices(estimate.g), person.joints(estimate.g)
-    return TemplateMesh(
-        vertices - joints[0], base.faces, base.skin, joints - joints[0], base.licence, base.uv, base.uv_faces
-    )
+    return replace(body_template(person.body), vertices=vertices - joints[0], joints=joints - joints[0])

@@ -33,7 +33,8 @@ def placed_rigidly(
     x = skinned(frame, estimate.markers(footage)) - frame.place[joint]
     found = find_directions(x, footage.pixels, seen, candidates, mirrored, slack)
     root = place_of(found, footage.focal, footage.centre) - found.rotation @ frame.place[joint]
-    return estimate.placed(root, found.rotation), found
+    angles = np.tile(estimate.angles[:1], (len(root), 1, 1))
+    return replace(estimate, root=root, heading=found.rotation, angles=angles), found
 
 
 def solve(

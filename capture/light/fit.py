@@ -102,9 +102,10 @@ def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:
     gamma, best, left = _best_gamma(problems, {g: _with_lamp(one, UNLIT, 0.5) for g, one in problems.items()})
     without = problems[gamma].shown_residual(problems[gamma].solve([UNLIT]).lights)
     none = LightFit({}, 255 * without, 255 * without, len(few.face))
-    clear = left < (1 - CLEAR) * without and best.lights[0].strongest > FAINT
+    clear = left < (1 - CLEAR) * without and (best.lights[0].strengths / best.lights[0].ambient).max(initial=0) > FAINT
     more, groups = _with_lamp(problems[gamma], best.lights[0], 0.3 * best.lights[0].ambient), together
-    if more.residual < (1 - CLEAR) * best.residual and more.lights[0].weakest > FAINT:
+    weakest = (more.lights[0].strengths / more.lights[0].ambient).min(initial=np.inf)
+    if more.residual < (1 - CLEAR) * best.residual and weakest > FAINT:
         gamma, best, left = _best_gamma(problems, {g: one.solve(more.lights) for g, one in problems.items()})
         clear = clear or left < (1 - 2 * CLEAR) * without
     if not clear or without < ROUNDING:
@@ -139,18 +140,13 @@ class _Parameters:
     sheen: tuple[float, float] = (0.0, 0.0)
 
     @property
+    def strengths(self) -> Float[Array, "lamps"]:
+        return np.linalg.norm(self.lamps, axis=1)
+
+    @property
     def brightest(self) -> float:
         """S of a surface that faced all lamps, no less than that of any."""
-        return self.ambient + float(np.linalg.norm(self.lamps, axis=1).sum())
-
-    @property
-    def strongest(self) -> float:
-        """Strength of the strongest lamp against the ambient light."""
-        return float(np.linalg.norm(self.lamps, axis=1).max(initial=0) / self.ambient)
-
-    @property
-    def weakest(self) -> float:
-        return float(np.linalg.norm(self.lamps, axis=1).min(initial=np.inf) / self.ambient)
+        return self.ambient + float(self.strengths.sum())
 
     def vector(self) -> Float[Array, "p"]:
         return np.r_[self.ambient, self.lamps.ravel(), self.gloss, self.sheen]
@@ -320,7 +316,6 @@ def _with_lamp(problem: _Problem, one: _Parameters, strength: float) -> _Solved:
 
 
 def _light_of(one: _Parameters, gamma: float, frame: Frame) -> CaptureLight:
-    strengths = np.linalg.norm(one.lamps, axis=1)
-    there = strengths > 1e-9
-    lamps = lamps_of(one.lamps[there], strengths[there])
+    there = one.strengths > 1e-9
+    lamps = lamps_of(one.lamps[there], one.strengths[there])
     return CaptureLight(one.ambient, lamps, gloss=one.gloss, gamma=gamma, frame=frame)

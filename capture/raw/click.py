@@ -128,11 +128,7 @@ def _jpeg(picture: UInt8[Array, "height width 3"]) -> bytes:
 
 
 def _read_log(data: bytes, place: str) -> list[Json]:
-    """What was done on the page, in order: [x, y], "hidden" or "pass".
-
-    Raises:
-        AssetError: it is something else.
-    """
+    """What was done on the page, in order: [x, y], "hidden" or "pass"; AssetError where it is something else."""
     log = parse_json(data, place, "what was clicked")
     if not isinstance(log, list) or len(log) > PICTURES * (len(POINTS) + 1):
         raise AssetError(f"{place}: expected a list of at most {PICTURES * (len(POINTS) + 1)} clicks")
@@ -147,11 +143,7 @@ def _read_log(data: bytes, place: str) -> list[Json]:
 
 
 def _read_answer(data: bytes, pictures: Mapping[int, Array]) -> Clicked:
-    """What the page sends: by picture a list of [x, y] or null of each of POINTS.
-
-    Raises:
-        AssetError: it is not, or of too few pictures.
-    """
+    """What the page sends: by picture [x, y] or null of each of POINTS; AssetError where it is not, or of too few."""
     place, out = "clicked joints", {}
     answer = parse_json(data, place, "places by picture")
     names = {str(k): k for k in pictures}

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy import ndimage
 
+from avatar.motion.clip import spread_frames
 from capture.keypoints.record import SIDES, hand_points
 from capture.raw.glance import SURE, Glance
 
@@ -159,7 +160,7 @@ def judge(at: Glance) -> Judged:
     moved = camera_moves(at, empty)
     limit = STILL * min(at.video.size) / 1080
     if moved is not None and moved.max() > limit:
-        first = float(at.times[_stands(at)[int(np.argmax(moved > limit))]])
+        first = float(at.times[spread_frames(len(at.times), STANDS)[int(np.argmax(moved > limit))]])
         add(True, f"the camera moves, by {moved.max():.0f} pixels from {first:.1f} s on", "put the phone on a tripod")
     if not empty.any():
         advice = "masks without it are rough: film a second of it before you step in, or bring masks of another tool"
@@ -202,7 +203,7 @@ def camera_moves(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "stan
 
     Least squares on brightness (Lucas and Kanade 1981), away from the person, with a gain for the exposure.
     """
-    stands = _stands(at)
+    stands = spread_frames(len(at.times), STANDS)
     first = at.small[empty][:15] if empty.any() else at.small[stands[:1]]
     room = np.median(first, axis=0).astype(np.float32)
     gx, gy = (ndimage.sobel(ndimage.gaussian_filter(room, 1.0), axis) / 8 for axis in (1, 0))
@@ -234,10 +235,6 @@ def camera_moves(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "stan
     if not shifts.any():
         return None
     return np.linalg.norm(shifts, axis=1) * at.scale
-
-
-def _stands(at: Glance) -> Array:
-    return np.unique(np.linspace(0, len(at.times) - 1, STANDS).astype(int))
 
 
 def _columns(at: Glance, wanted: tuple[str, ...]) -> list[int]:
@@ -300,7 +297,7 @@ def _on_changed(at: Glance, empty: Bool[Array, "frames"]) -> float | None:
     room, noise = np.median(frames, axis=0), frames.std(0).mean() + 1
     hits, points = 0, 0
     rows = np.flatnonzero(at.found)
-    for i in rows[np.linspace(0, len(rows) - 1, min(len(rows), 40)).astype(int)]:
+    for i in rows[spread_frames(len(rows), 40)]:
         changed = np.abs(at.small[i] - room)
         changed = np.asarray(ndimage.binary_dilation(changed - np.median(changed) > 3 * noise, iterations=2), bool)
         x, y = (at.keypoints.pixels[i][at.keypoints.confidence[i] > SURE] / at.scale).T

@@ -106,11 +106,18 @@ def _filled(
     rim: float,
 ) -> tuple[Float[Array, "height width 3"], Bool[Array, "height width"]]:
     """The room with the mean of what lies beside the person where it is not known, and where it then is."""
-    free = (~np.asarray(ndimage.binary_dilation(inside, iterations=round(rim)), bool)).astype(np.float32)
-    weight = ndimage.gaussian_filter(free, 2 * rim)
-    beside = np.stack([ndimage.gaussian_filter(image[..., c] * free, 2 * rim) for c in range(3)], -1)
-    beside /= np.maximum(weight, 1e-3)[..., None]
+    free = ~np.asarray(ndimage.binary_dilation(inside, iterations=round(rim)), bool)
+    beside, weight = _mean_of(image, free, 2 * rim)
     return np.where(known[..., None], room, beside), known | (weight > 0.02)
+
+
+def _mean_of(
+    image: Float[Array, "height width 3"], marked: Bool[Array, "height width"], sigma: float
+) -> tuple[Float[Array, "height width 3"], Float[Array, "height width"]]:
+    """The mean color of the marked pixels round each pixel (Gaussian, pixels), and their share."""
+    share = ndimage.gaussian_filter(marked.astype(np.float32), sigma)
+    total = ndimage.gaussian_filter(image * marked[..., None], (sigma, sigma, 0))
+    return total / np.maximum(share, 1e-3)[..., None], share
 
 
 def _gain(image: Float[Array, "height width 3"], plate: Plate, keypoints: Keypoints, frame: int) -> Float[Array, "3"]:
@@ -287,9 +294,7 @@ def _rim(
         return out
     away, nearest = distance_to(person), nearest_marked(person)
     # the person's color beside the rim, a little averaged
-    weight = ndimage.gaussian_filter(person.astype(np.float32), 1.0)
-    front = np.stack([ndimage.gaussian_filter(image[..., c] * person, 1.0) for c in range(3)], -1)
-    front /= np.maximum(weight, 1e-3)[..., None]
+    front, _ = _mean_of(image, person, 1.0)
     # thin limbs have no inside of their own: they stay as they are
     band = (np.abs(to_edge) <= rim) & (away < 3 * rim)
     y, x = np.nonzero(band)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray as Array
 from scipy import ndimage
 
+from avatar.motion.clip import spread_frames
 from capture.keypoints.record import Keypoints
 from capture.raw.limbs import hull
 from capture.raw.video_file import VideoFile, read_frames
@@ -47,7 +48,7 @@ def smoothed(picture: Float[Array, "height width 3"]) -> Float[Array, "height wi
 
 def plate_of_empty(video: VideoFile, frames: Int[Array, "empty"]) -> Plate:
     """The median of empty frames."""
-    chosen = frames[np.linspace(0, len(frames) - 1, min(FRAMES, len(frames))).astype(int)]
+    chosen = frames[spread_frames(len(frames), FRAMES)]
     pictures = [frame.picture for frame in read_frames(video, only=frozenset(int(i) for i in chosen))]
     color = np.empty(pictures[0].shape, np.float32)
     # some rows at a time

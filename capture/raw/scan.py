@@ -1,6 +1,6 @@
 """What fitting begins and ends with: videos as filmed, with masks and keypoints; a person and cameras.
 
-    RawScan --capture.fit.fit_scan--> FittedScan --capture.imports.video--> capture folder
+    RawScan --capture.fit.fit_scan--> FittedScan --capture.read.video--> capture folder
 
 Memory: pictures stay files until asked for, masks may be memory maps. 100 frames of 1080p in four videos are .8 GB of
 masks and 6 MB for a picture in hand.
@@ -49,11 +49,7 @@ class RawVideo:
             raise ValueError(f"masks should be {self.size} pixels as the video, are {self.masks.shape[:0:-1]}")
 
     def picture(self, i: int) -> UInt8[Array, "height width 3"]:
-        """Frame i of those kept, sRGB, read from its file.
-
-        Raises:
-            AssetError: the file cannot be read or has another size.
-        """
+        """Frame i of those kept, sRGB; AssetError where its file cannot be read or has another size."""
         return sized_picture(self.pictures[i], self.size, "as the video")
 
 

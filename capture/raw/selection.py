@@ -78,7 +78,7 @@ def movement(at: Glance) -> Float[Array, "frames"]:
 
     Over it a turn is even whatever its speed, and who pauses is not seen more often.
     """
-    steady = _track(at, STEADY)
+    steady = _track(at)
     with np.errstate(invalid="ignore"):
         step = np.linalg.norm(np.diff(steady, axis=0), axis=2)
     known = np.isfinite(step)
@@ -89,11 +89,11 @@ def movement(at: Glance) -> Float[Array, "frames"]:
     return np.concatenate([[0.0], np.cumsum(np.maximum(way - floor, 1e-6))])
 
 
-def _track(at: Glance, seconds: float) -> Float[Array, "frames points 2"]:
-    """Points averaged over some time, by confidence; NaN where a point is not seen about then."""
+def _track(at: Glance) -> Float[Array, "frames points 2"]:
+    """Points averaged over STEADY seconds, by confidence; NaN where a point is not seen about then."""
     sure = np.where(at.keypoints.confidence > SURE, at.keypoints.confidence, 0.0)
     pixels = np.nan_to_num(at.keypoints.pixels)
-    sigma = seconds * at.video.rate / 2
+    sigma = STEADY * at.video.rate / 2
     weight = ndimage.gaussian_filter1d(sure, sigma, axis=0, mode="constant")
     total = ndimage.gaussian_filter1d(pixels * sure[..., None], sigma, axis=0, mode="constant")
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -102,7 +102,7 @@ def _track(at: Glance, seconds: float) -> Float[Array, "frames points 2"]:
 
 def _astray(at: Glance) -> Bool[Array, "frames"]:
     """Frames in which half of the sure points lie far off their own track."""
-    off = np.linalg.norm(at.keypoints.pixels - _track(at, STEADY), axis=2)
+    off = np.linalg.norm(at.keypoints.pixels - _track(at), axis=2)
     off = np.where(at.keypoints.confidence > SURE, off, np.nan)
     rows = np.isfinite(off).sum(1) >= 3
     middle = np.full(len(off), 0.0)

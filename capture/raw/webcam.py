@@ -33,11 +33,7 @@ class Webcam:
         self.size = context.width, context.height
 
     def frames(self) -> Iterator[VideoFrame]:
-        """Its pictures as they come, each with its `time` in seconds.
-
-        Raises:
-            AssetError: the camera was pulled out.
-        """
+        """Its pictures as they come, each with its `time` in seconds; AssetError when the camera is pulled out."""
         said = "it ended"
         try:
             yield from self._container.decode(video=0)

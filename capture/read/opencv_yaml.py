@@ -62,7 +62,7 @@ def _matrix(path: Path, key: str, text: str) -> Array:
         # .nan and .inf are no floats to Python either
         values = np.array([float(word) for word in words])
     except ValueError:
-        raise AssetError(f"{path}: {key} should be finite numbers, is {data[1][:60]!r}") from None
+        values = np.array([np.nan])
     if not np.isfinite(values).all():
         raise AssetError(f"{path}: {key} should be finite numbers, is {data[1][:60]!r}")
     return values.reshape(rows, cols)

@@ -65,12 +65,11 @@ class IrisFit(NamedTuple):
 
     def facts(self) -> dict[str, Any]:
         """What run.json says of it."""
-        best = int(self.residuals.argmin())
         return {
             "depth_mm": round(self.depth * 1000, 2),
             "half_angle_deg": 0.0 if self.iris is None else round(float(np.degrees(self.iris.angle)), 1),
             "residual_round": round(float(self.residuals[0]), 5),
-            "residual_best": round(float(self.residuals[best]), 5),
+            "residual_best": round(float(self.residuals.min()), 5),
         }
 
 

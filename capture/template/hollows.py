@@ -228,7 +228,7 @@ def _shown_behind(
 
 def _empty(
     shown: Float[Array, "views k 3"], expected: Float[Array, "views k 3"], disagree: float
-) -> Bool[Array, "k"]:  # fmt: skip
+) -> Bool[Array, "k"]:
     """Which cells show what lies behind them, or in no two views the same, by more than `disagree`."""
     k = shown.shape[1]
     seen = np.isfinite(shown).all(2)

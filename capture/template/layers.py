@@ -93,8 +93,7 @@ class HairLayers:
         def normals(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
             """Unit normals at canonical points."""
             out = np.array(normal(points), np.float64)
-            apart = np.abs(divided(points) - whole(points)) > 1e-6
-            cut = np.flatnonzero(apart)
+            cut = np.flatnonzero(np.abs(divided(points) - whole(points)) > 1e-6)
             if len(cut):
                 steps = 1e-3 * np.eye(3)
                 slope = np.stack([divided(points[cut] + e) - divided(points[cut] - e) for e in steps], 1)

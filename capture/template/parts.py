@@ -64,25 +64,25 @@ def part_boxes(subject: CaptureSubject) -> tuple[Part, ...]:
         covered = subject.vertices[subject.part == index]
         overlap = 0.05 if name == "head" else 0.10
         low, high = covered.min(0).copy(), covered.max(0).copy()
-        stand_off = overlap + 0.03
+        # the networks' box of the head reaches as far: no part has a weight where it learned nothing
+        stand_off = overlap + (0.02 if name == "head" else 0.03)
         if name == "head":
-            # and the networks' box reaches as far: no part has a weight where it learned nothing
-            stand_off = overlap + 0.02
             # the neck below: Eq. 9 starts under the lowest skin of the head, hair hanging deeper or not
             low[1] = max(low[1], vertices[:, 1].min()) - subject.head_reach
-            blend_low, blend_high = low - stand_off, high + stand_off
+        blend_low, blend_high = low - stand_off, high + stand_off
+        if name == "head":
             blend_low[1] = low[1] - overlap + 0.02
             low[1] = blend_low[1] - 0.02
             extent = Box(low - [stand_off, 0.0, stand_off], high + stand_off)
         else:
-            inner = 0 if name == "hand_left" else 1  # the left hand's wrist is its low x
-            blend_low, blend_high = low - stand_off, high + stand_off
-            if inner == 0:
+            extent = Box(low - 0.03, high + 0.03)
+            # the left hand's wrist is its low x
+            if name == "hand_left":
                 blend_low[0] = low[0] - overlap
-                extent = Box(np.array([blend_low[0] - 0.02, low[1] - 0.03, low[2] - 0.03]), high + 0.03)
+                extent.low[0] = blend_low[0] - 0.02
             else:
                 blend_high[0] = high[0] + overlap
-                extent = Box(low - 0.03, np.array([blend_high[0] + 0.02, high[1] + 0.03, high[2] + 0.03]))
+                extent.high[0] = blend_high[0] + 0.02
         parts.append(Part(name, extent, Box(blend_low, blend_high), overlap))
     return tuple(parts)
 

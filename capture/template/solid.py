@@ -95,14 +95,13 @@ def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunct
     zero sets there are sheets inside the body, some of them joined to the skin through a pinhole. Only the
     faces that can be seen from outside count: mouth and eye sockets would turn the sign.
     """
-    faces = np.asarray(subject.faces, np.int64)
-    vertices = np.asarray(subject.vertices, np.float64)
+    vertices, faces = subject.vertices, subject.faces
     in_air = outer_air(vertices, faces)
     seen = np.unique(faces[visible_faces(subject)])
     normals = vertex_normals(vertices, faces)[seen]
     places = vertices[seen]
-    part = np.asarray(subject.part, np.int64)[seen]
-    limit = np.where(np.asarray(subject.hair, bool)[seen], np.maximum(INSIDE[part], HAIR_INSIDE), INSIDE[part])
+    part = subject.part[seen]
+    limit = np.where(subject.hair[seen], np.maximum(INSIDE[part], HAIR_INSIDE), INSIDE[part])
     tree = KDTree(places)
     hands = places[part >= PARTS.index("hand_left")]
     # the hands' fields have weights up to 10 cm beyond the wrist, where the part is body

@@ -110,7 +110,7 @@ def test_outlines_of_somebody_with_hair_and_shoes_do_not_draw_the_person_nearer(
     # 3 cm on the scalp, 2 under the soles, 1 elsewhere
     thick = np.select([height > height.max() - 0.06, height < height.min() + 0.03], [0.03, 0.02], 0.01)
     told: list[str] = []
-    bare = replace(truth, person=truth.person.with_offsets(np.zeros((len(height), 3))))
+    bare = replace(truth, person=replace(truth.person, offsets=np.zeros((len(height), 3))))
     found = fit_outlines(bare, in_clothes(truth, footage, thick), told.append)
     # after a first guess and two rounds of keypoints
     assert 3 + len(told) == STEPS["body"]
@@ -206,7 +206,7 @@ def test_a_wide_skirt_is_not_filled_by_the_legs():
     # 15 cm off the thighs, all round, nothing elsewhere
     thighs = (vertices[:, 1] < -0.12) & (vertices[:, 1] > -0.45) & (np.abs(vertices[:, 0]) < 0.35)
     footage = in_clothes(truth, footage, np.where(thighs, 0.15, 0.0))
-    bare = replace(truth, person=truth.person.with_offsets(0 * normals))
+    bare = replace(truth, person=replace(truth.person, offsets=0 * normals))
 
     def found(standoff):
         every = np.ones(len(normals), bool) if standoff is None else standoff > 0

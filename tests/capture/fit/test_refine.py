@@ -101,7 +101,7 @@ def test_shape_is_the_mean_of_what_is_seen_and_only_joints_that_show_are_moved(c
     assert np.abs(beyond[subject.vertices[:, 0] < 0.2]).max() < 1e-6
     once = cells.shared(left[:1], np.array([0.02]), 10.0)
     assert 0 < once.max() <= 0.02 / 11 * 1.001
-    hand = moving_joints(capture.subject, 2, capture.videos["hand_left"], least=6.0)
+    hand = moving_joints(capture.subject, capture.videos["hand_left"], least=6.0)
     assert {20, 22, 18, 16} <= set(hand)  # wrist, a finger, elbow, shoulder of the left arm
     assert not {1, 4, 15, 17, 19, 21, 37} & set(hand)  # legs, head and the right arm
     edge = np.array([0.3, 0.35, 0.4, 4.2, np.inf, 0.7])
