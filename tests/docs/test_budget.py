@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_263,
     "avatar": 9_207,
     "geometry": 1_680,
-    "capture": 12_373,
+    "capture": 12_315,
     "train": 5_298,
     "bake": 5_779,
     "player": 19_451,
