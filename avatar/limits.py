@@ -53,7 +53,9 @@ X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 MINUS_X, MINUS_Y, MINUS_Z = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
 
 
-def _trunk(forward: float, back: float, side: float, turn: float) -> tuple[Freedom, Freedom, Freedom]:
+def _trunk(
+    forward: float | int, back: float | int, side: float | int, turn: float | int
+) -> tuple[Freedom, Freedom, Freedom]:  # fmt: skip
     return (
         ("bend forward", -back, forward, X),
         ("bend to the left", -side, side, MINUS_Z),

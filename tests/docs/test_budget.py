@@ -10,7 +10,7 @@ CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 BUDGET = {
     "files": 1_514,
     "command": 1_263,
-    "avatar": 9_207,
+    "avatar": 9_209,
     "geometry": 1_680,
     "capture": 12_315,
     "train": 5_298,
