@@ -101,7 +101,8 @@ def _bound(gltf: Gltf, springs: SpringBones | None) -> dict[str, np.ndarray]:
     whole = np.round(weights * 255).astype(int)
     whole[:, 0] += 255 - whole.sum(1)  # the largest comes first
     binds = np.concatenate([gltf.accessor(gltf.items("skins")[0][BINDS]), springs.joint_from_mesh.astype(np.float32)])
-    joints = np.where(whole > 0, joints, 0).astype(np.uint8)
+    joints = np.where(whole > 0, joints, 0)
+    joints = joints.astype(np.uint8 if joints.max() < 256 else np.uint16)
     return {"JOINTS_0": joints, "WEIGHTS_0": whole.astype(np.uint8), BINDS: binds}
 
 

@@ -10,7 +10,6 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from avatar.camera import Camera, project
-from avatar.motion.clip import spread_frames
 from geometry.cells import rim_of
 from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
@@ -127,6 +126,6 @@ def silhouette(
         # neighbours on the outline have neighbouring angles round its middle
         middle = at[rim].mean(0)
         order = np.argsort(np.arctan2(*(at[rim] - middle).T), kind="stable")
-        keep = order[spread_frames(len(rim), SAMPLES)]
+        keep = order[np.linspace(0, len(rim) - 1, SAMPLES).astype(int)]
         rim, flat = rim[keep], flat[keep]
     return Silhouette(rim, at[rim], flat)

@@ -59,7 +59,6 @@ def find_directions(
     `slack`: metres by which a rigid guess may be off its points.
     """
     flat = np.einsum("nij,pj->npi", candidates[:, :2], points) * [1.0, -1.0]
-    cost, scale, origin = _fits(flat, pixels, seen, slack)
     fits = [_fits(flat, pixels, seen, slack)]
     if mirrored is not None:
         fits.append(_fits(flat, pixels[:, mirrored], seen[:, mirrored], slack))

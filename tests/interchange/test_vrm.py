@@ -148,6 +148,15 @@ def test_three_vrm_swings_hair_after_a_turn_of_the_head_and_lets_the_skirt_hang(
     assert whole[~hair].max() < 1e-3
 
 
+def test_more_joints_than_a_byte_counts_are_two_bytes(hanging, tmp_path, monkeypatch):
+    monkeypatch.setattr("avatar.gltf.spring_bones.LINKS", 24)
+    assert export_main([str(hanging / "a.glb"), "-o", str(tmp_path / "many.vrm")]) == 0
+    gltf = read_gltf(tmp_path / "many.vrm")
+    joints = read_primitive(gltf, 0).attributes["JOINTS_0"]
+    assert len(gltf.items("skins")[0]["joints"]) > joints.max() > 255
+    assert np.linalg.norm(resting(gltf) - resting(read_gltf(hanging / "a.vrm")), axis=1).max() < 0.04
+
+
 def test_an_avatar_that_wears_nothing_loose_has_no_springs(exported):
     gltf = read_gltf(exported)
     assert "VRMC_springBone" not in gltf.json["extensions"] and len(gltf.items("skins")[0]["joints"]) == 54
