@@ -1,4 +1,4 @@
-"""Closest points: of one triangle, of a whole mesh, and of a mesh where it faces the same way."""
+"""Closest points: of one triangle, of a whole mesh, of a mesh where it faces the same way, of a line in the plane."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -186,3 +186,16 @@ def best_candidate(
         for kept, found in zip(best, (face, weights, away, good), strict=True):
             kept[wins] = found[wins]
     return best
+
+
+def beyond_loop(points: Float[Array, "n 2"], loop: Float[Array, "m 2"]) -> Float[Array, "n"]:
+    """Distance of points from a closed line in the plane, negative inside of it."""
+    start, along = loop, np.roll(loop, -1, 0) - loop
+    offset = points[:, None] - start
+    share = np.clip((offset * along).sum(2) / (along**2).sum(1), 0, 1)
+    away = np.linalg.norm(offset - share[..., None] * along, axis=2).min(1)
+    y0, y1 = loop[:, 1], np.roll(loop[:, 1], -1)
+    between = (y0 > points[:, 1:]) != (y1 > points[:, 1:])
+    crossing = loop[:, 0] + (points[:, 1:] - y0) / np.where(y1 == y0, 1, y1 - y0) * along[:, 0]
+    inside = (between & (points[:, :1] < crossing)).sum(1) % 2 == 1
+    return np.where(inside, -away, away)

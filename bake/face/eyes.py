@@ -18,7 +18,7 @@ from avatar.texture import sample_texture
 from bake.face.cut import chains, cut_along, extended, places, refined
 from bake.face.template import FaceRefused, PersonFace
 from geometry.cells import nearest_marked
-from geometry.closest import closest_points, triangle_index
+from geometry.closest import beyond_loop, closest_points, triangle_index
 from geometry.mesh import component_labels, half_edges
 
 # metres off the ball beyond which nothing is of it
@@ -106,19 +106,6 @@ def shows_ball(level: Level, center: Float[Array, "3"], radius: float) -> bool:
     ahead = (offset[:, 2] > 0) & (np.hypot(offset[:, 0], offset[:, 1]) < 0.7 * radius)
     off = np.abs(np.linalg.norm(offset[ahead], axis=1) - radius)
     return int((off < BALL).sum()) >= SEEN
-
-
-def beyond_loop(points: Float[Array, "n 2"], loop: Float[Array, "m 2"]) -> Float[Array, "n"]:
-    """Distance of points from a closed line in the plane, negative inside of it."""
-    start, along = loop, np.roll(loop, -1, 0) - loop
-    offset = points[:, None] - start
-    share = np.clip((offset * along).sum(2) / (along**2).sum(1), 0, 1)
-    away = np.linalg.norm(offset - share[..., None] * along, axis=2).min(1)
-    y0, y1 = loop[:, 1], np.roll(loop[:, 1], -1)
-    between = (y0 > points[:, 1:]) != (y1 > points[:, 1:])
-    crossing = loop[:, 0] + (points[:, 1:] - y0) / np.where(y1 == y0, 1, y1 - y0) * along[:, 0]
-    inside = (between & (points[:, :1] < crossing)).sum(1) % 2 == 1
-    return np.where(inside, -away, away)
 
 
 def only_front(

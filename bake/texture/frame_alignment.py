@@ -2,7 +2,9 @@
 
 A pose that is a degree off shows print some millimetres beside its place, another way in each frame, and the solved
 atlas is their blur. Each frame is compared with the atlas drawn in its own pose, and smooth shifts of its pixels that
-make the two meet are found by Lucas and Kanade's least squares (1981) over Gaussian windows, from coarse to fine.
+make the two meet are found by Lucas and Kanade's least squares (1981) over Gaussian windows, from coarse to fine. That
+is done several times, with narrower windows each time: first limbs move as a whole, in the end an eye by itself, which
+a surface some millimetres off in depth shows elsewhere in every frame.
 """
 
 from typing import NamedTuple
@@ -15,12 +17,14 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from bake.texture.texture_solve import Equations
 from command.workers import on_all_cores
 
-# metres: standard deviation of the window that moves as one, farthest shift
-WINDOW, FARTHEST = 0.025, 0.02
+# metres: standard deviations of the windows that move as one, time after time, but so many pixels at least; farthest
+# shift, which is no farther than two windows
+WINDOWS, NARROWEST, FARTHEST = (0.025, 0.012, 0.005), 4.0, 0.02
 # share of the window's own pixels, that a shift of none counts as much as: where there is no print nothing is moved
 STAY = 1e-4
-# blur of both pictures in turn, pixels, and steps at each
-BLURS, STEPS = (3.0, 1.0), 2
+# blur of both pictures in turn, pixels at least and shares of the window: what is farther off than that is not found;
+# steps at each
+BLURS, STEPS = ((3.0, 0.25), (1.0, 0.08)), 2
 # where a window's tails are cut, in standard deviations
 TAIL = 2.5
 
@@ -34,10 +38,12 @@ class ShownVideo(NamedTuple):
 
 
 def aligned_frames(
-    equations: Equations, video: ShownVideo, given: Float[Array, "texels 3"], change: Float[Array, "texels 3"]
-) -> tuple[Equations, float]:
-    """What the pixels show, moved onto the atlas `given + change` as each frame sees it; the shifts' mean length,
-    metres."""
+    equations: Equations, video: ShownVideo, given: Float[Array, "texels 3"], change: Float[Array, "texels 3"],
+    window: float,
+) -> tuple[Equations, float]:  # fmt: skip
+    """What the pixels show, moved onto the atlas `given + change` as each frame sees it, `window` (metres) as one; the
+    shifts' mean length, metres."""
+    wide = max(window / video.pixel, NARROWEST)
     wanted = equations.wanted.copy()
     root = np.asarray(equations.matrix.sum(1)).ravel()
     ends = np.cumsum([0, *map(len, video.frames)])
@@ -57,7 +63,7 @@ def aligned_frames(
         drawn, shown = np.zeros((2, *known.shape, 3))
         drawn[row, column] = before + (matrix @ change) / weight
         shown[row, column] = before + equations.wanted[rows] / weight
-        shift = frame_shift(drawn, shown, known, video.pixel)
+        shift = frame_shift(drawn, shown, known, wide, min(FARTHEST / video.pixel, 2 * wide))
         there, whole = moved_colors(shown, known, shift)
         colors = np.where(whole[..., None], there, shown)[row, column]
         wanted[rows] = (colors - before) * weight
@@ -69,16 +75,16 @@ def aligned_frames(
 
 def frame_shift(
     drawn: Float[Array, "height width 3"], frame: Float[Array, "height width 3"], known: Bool[Array, "height width"],
-    pixel: float,
+    window: float, farthest: float,
 ) -> Float[Array, "height width 2"]:  # fmt: skip
     """How far beside each pixel (rows, columns) the frame shows what the texture shows there.
 
-    `drawn` and `frame` hold colors, [0, 1], where `known`; `pixel` is a pixel's width on the person, metres.
+    `drawn` and `frame` hold colors, [0, 1], where `known`; `window` moves as one, by `farthest` at most, pixels.
     """
-    window, farthest = WINDOW / pixel, FARTHEST / pixel
     shift = np.zeros((*known.shape, 2))
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in known.shape), indexing="ij"), -1).astype(np.float64)
-    for blur in BLURS:
+    for least, share in BLURS:
+        blur = max(least, share * window)
         model, inside = _blurred(drawn, known, blur), gaussian_filter(known.astype(np.float64), blur)
         ours = _blurred(frame, known, blur)
         down, across = np.gradient(ours, axis=(0, 1))

@@ -21,7 +21,7 @@ from bake.level import BakedLevel, PlacesOnFinest, rounded, with_picture
 from bake.promises import Facts
 from bake.run_capture import RunVideos
 from bake.texture.fill import TexelSurface, filled_colors
-from bake.texture.frame_alignment import ShownVideo, aligned_frames
+from bake.texture.frame_alignment import WINDOWS, ShownVideo, aligned_frames
 from bake.texture.pixel_reads import (
     AtlasMesh,
     PixelReads,
@@ -66,8 +66,6 @@ WHOLE_HEAD = 0.95
 STRANGE = 0.06
 # difference of a pixel's color from what the others show, sRGB, at which it counts a quarter where poses were estimated
 DOUBTED = 0.15
-# how often frames are moved where poses were estimated, each time from where they were: first onto the blur of them all
-MOVES = 2
 # frames that show a texel, away from outlines, up to which it counts as unseen, and from which as seen; the same of
 # their mean squared cosine: at grazing angles a frame shows the colors of a print as one grey
 UNSEEN, SEEN = 0.3, 1.0
@@ -135,10 +133,11 @@ def solve_texture(
     prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
     equations, belief = found.equations, [np.ones(1, np.float32)] * len(PARTS)
     if videos.estimated:
-        for _ in range(MOVES):
+        # each time from where they were: first onto the blur of them all
+        for window in WINDOWS:
             # what frames are moved onto need not be solved to the end
             blurred = solve_change(equations, prior, pairs, stiff=seams, rounds=ROUNDS // 2)
-            equations = moved_onto(found, given, blurred, facts)
+            equations = moved_onto(found, given, blurred, window, facts)
         moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
         report(f"frames moved onto the texture they agree on, mm: {moved}")
         belief = [doubted(own, blurred) for own in equations]
@@ -163,12 +162,13 @@ def solve_texture(
 
 
 def moved_onto(
-    found: ReadVideos, given: Float[Array, "texels 3"], change: Float[Array, "texels 3"], facts: Facts
+    found: ReadVideos, given: Float[Array, "texels 3"], change: Float[Array, "texels 3"], window: float, facts: Facts
 ) -> list[Equations]:
-    """The equations as read, each frame moved onto the atlas `given + change`; how far goes into `facts`."""
+    """The equations as read, each frame moved onto the atlas `given + change`, `window` (metres) as one; how far goes
+    into `facts`."""
     result = []
     for name, own, video in zip(PARTS, found.equations, found.shown, strict=True):
-        moved, mean = aligned_frames(own, video, given, change)
+        moved, mean = aligned_frames(own, video, given, change, window)
         facts[name]["moved_mm"] = rounded(mean * 1e3)
         result.append(moved)
     return result

@@ -23,6 +23,8 @@ from capture.keypoints.record import FACE
 
 # features that are on the surface: inner points, chin and ears
 FEATURES = ("face_08", *FACE[17:], "left_ear", "right_ear")
+# an eye goes as a whole: its points' own errors would bend an opening that is 8 mm high (eyes.py)
+EYES = tuple(tuple(f"face_{first + k}" for k in range(6)) for first in (36, 42))
 # share of a bias that is the face's: deviations of some 5 mm between faces, of 3 mm between detectors and our points
 OWN = 0.75
 # metres: skin farther from all features stays, a point of it each; and no feature moves by more
@@ -56,6 +58,10 @@ def with_own_face(estimate: Estimate, footage: Footage, head: Bool[Array, "verti
     chosen = [names.index(name) for name in FEATURES if name in names]
     at = np.stack([places[footage.points[k].vertices].mean(0) for k in chosen])
     moved = OWN * estimate.bias[chosen]
+    for eye in EYES:
+        own = [row for row, k in enumerate(chosen) if names[k] in eye]
+        if own:
+            moved[own] = moved[own].mean(0)
     moved *= np.minimum(1, FARTHEST / np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1e-9))
     still = _still(places[head], at)
     # points that share a vertex would contradict each other

@@ -13,6 +13,7 @@ from avatar.limits import axis_angle_from_joint_angles
 from avatar.rotation import axis_angle_from_matrix, rotation_between
 from avatar.skeleton import PARTS, skin_transforms
 from capture.fit import body, hand, head
+from capture.fit.eyes import with_eyes_of_pictures
 from capture.fit.focal import Focal, focal_of_videos
 from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.person import person_of
@@ -77,7 +78,7 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None) 
     usable = check_fit("body", estimate, body.sides_restored(estimate, footage))
     found["body"] = posed_video(estimate, footage, usable, level=True)
 
-    estimate, closer, said = _with_close_ups(scan.videos["body"], footages, phone, estimate)
+    estimate, closer, said = _with_close_ups(scan, footages, phone, estimate)
     joints = estimate.person.joints(estimate.g)
     # a body's video shows a face well enough, but fingers as some pixels
     found |= {part: closer[part] if part in closer else carried(part, found["body"], joints) for part in PARTS[1:]}
@@ -97,6 +98,7 @@ class _CloseUps(NamedTuple):
     """Videos that are fitted one after the other, for a worker process."""
 
     footages: dict[str, Footage]
+    head: RawVideo
     estimate: Estimate  # the body's
     filmed: bool  # or cut from the body's video, which may show too little
 
@@ -115,7 +117,7 @@ def _fit_close_ups(job: _CloseUps, reporter: Reporter) -> _SeenClose:
     person, g = estimate.person, estimate.g
     try:
         for part, footage in job.footages.items():
-            estimate, videos[part] = fit.close_up(part, estimate, footage)
+            estimate, videos[part] = fit.close_up(part, estimate, footage, job.head)
     except AssetError as error:
         if job.filmed:
             raise
@@ -124,15 +126,16 @@ def _fit_close_ups(job: _CloseUps, reporter: Reporter) -> _SeenClose:
 
 
 def _with_close_ups(
-    body: RawVideo, footages: Mapping[str, Footage], phone: Focal, estimate: Estimate
+    scan: RawScan, footages: Mapping[str, Footage], phone: Focal, estimate: Estimate
 ) -> tuple[Estimate, dict[str, FittedVideo], list[str]]:
     """The person with head and hands as their videos show them, those videos, and what is worth saying."""
-    seen = {"head": footage_in(replace(body, part="head"), phone)} | dict(footages)
+    film = scan.videos.get("head", replace(scan.videos["body"], part="head"))
+    seen = {"head": footage_in(film, phone)} | dict(footages)
     jobs = {}
     for name, parts in CLOSE_UPS.items():
         there = {part: seen[part] for part in parts if part in seen}
         if there:
-            jobs[name] = _CloseUps(there, estimate, parts[0] in footages or name == "hands")
+            jobs[name] = _CloseUps(there, film, estimate, parts[0] in footages or name == "hands")
     workers = min(os.cpu_count() or 1, len(jobs))
     board = ProgressBoard({name: sum(STEPS[part] for part in job.footages) for name, job in jobs.items()}, workers)
     done = run_jobs(jobs, _fit_close_ups, board, workers)
@@ -156,15 +159,18 @@ class _Fit:
         self.show(end, name)
         return found
 
-    def close_up(self, part: str, estimate: Estimate, footage: Footage) -> tuple[Estimate, FittedVideo]:
-        """Head or hand, after what was found before; AssetError: too few points show it, or nothing explains them."""
+    def close_up(self, part: str, estimate: Estimate, footage: Footage, film: RawVideo) -> tuple[Estimate, FittedVideo]:
+        """Head, with the film that shows it, or hand, after what was found before; AssetError: too few points show it,
+        or nothing explains them."""
         check_footage(part, footage)
         person, g = estimate.person, estimate.g
         if part == "head":
             estimate = self.step(part, lambda report: head.fit_head(person, g, footage, report))
             camera = estimate.camera(footage)
             cameras = tuple(replace(camera, camera_from_world=pose) for pose in head.camera_from_head(estimate))
-            return estimate, FittedVideo(cameras, None, None, check_fit(part, estimate, footage))
+            usable = check_fit(part, estimate, footage)
+            estimate = with_eyes_of_pictures(estimate, cameras, film, usable)
+            return estimate, FittedVideo(cameras, None, None, usable)
         side = part.removeprefix("hand_")
         estimate = self.step(part, lambda report: hand.fit_hand(person, g, footage, side, report))
         return estimate, posed_video(estimate, footage, check_fit(part, estimate, footage), level=False)

@@ -19,7 +19,7 @@ from bake.network import (
     network_residual,
     write_onnx,
 )
-from bake.texture.frame_alignment import FARTHEST, ShownVideo, aligned_frames, frame_shift, moved_colors
+from bake.texture.frame_alignment import FARTHEST, WINDOWS, ShownVideo, aligned_frames, frame_shift, moved_colors
 from bake.texture.texture_solve import Equations
 
 
@@ -105,6 +105,7 @@ def test_onnx_runtime_agrees_with_the_reference(tmp_path, scale):
 
 SIZE = 96
 PIXEL = 0.005  # metres
+WIDE, FAR = WINDOWS[0] / PIXEL, FARTHEST / PIXEL
 
 
 def picture(seed, blur=1.5):
@@ -132,17 +133,26 @@ def smooth_shift():
 def test_a_smooth_shift_is_undone_and_a_single_picture_moves_no_farther_than_believed():
     drawn, known = picture(0), disc()
     frame = beside(drawn, smooth_shift())
-    shift = frame_shift(drawn, frame, known, PIXEL)
+    shift = frame_shift(drawn, frame, known, WIDE, FAR)
     inner = gaussian_filter(known.astype(float), 4) > 0.95
     assert np.abs(shift - smooth_shift())[inner].max() < 0.5
     assert np.abs(shift - smooth_shift())[inner].mean() < 0.1
     moved, whole = moved_colors(frame, known, shift)
     both = inner & whole
     assert np.abs(moved - drawn)[both].mean() < 0.25 * np.abs(frame - drawn)[both].mean()
-    shift = frame_shift(picture(0), picture(7), disc(), PIXEL)
-    assert np.linalg.norm(shift, axis=-1).max() <= FARTHEST / PIXEL + 1e-9
-    nobody = frame_shift(picture(0), picture(7), np.zeros((SIZE, SIZE), bool), PIXEL)
+    shift = frame_shift(picture(0), picture(7), disc(), WIDE, FAR)
+    assert np.linalg.norm(shift, axis=-1).max() <= FAR + 1e-9
+    nobody = frame_shift(picture(0), picture(7), np.zeros((SIZE, SIZE), bool), WIDE, FAR)
     assert (nobody == 0).all()
+
+
+def test_what_slides_by_itself_is_moved_by_a_narrow_window_alone():
+    """A disc of 9 pixels shows three pixels beside the rest."""
+    drawn, away = picture(0), np.hypot(*(np.mgrid[:SIZE, :SIZE] - SIZE / 2))
+    own = np.exp(-0.5 * (away / 9) ** 2)[..., None] * [3.0, 0.0]
+    frame = beside(drawn, own)
+    off = [np.abs(frame_shift(drawn, frame, disc(), window, FAR) - own)[away < 6].mean() for window in (12.0, 4.0)]
+    assert off[1] < 0.3 < 0.5 < off[0]
 
 
 @pytest.mark.parametrize("case", ["same", "one color", "noise"])
@@ -150,7 +160,7 @@ def test_what_tells_nothing_moves_nothing(case):
     drawn = np.full((SIZE, SIZE, 3), 0.5) if case == "one color" else picture(0)
     rng = np.random.default_rng(1)
     frame = drawn + {"same": 0, "one color": 0.002, "noise": 0.02}[case] * rng.normal(size=drawn.shape)
-    shift = frame_shift(drawn, frame, disc(), PIXEL)
+    shift = frame_shift(drawn, frame, disc(), WIDE, FAR)
     assert np.isfinite(shift).all()
     assert np.abs(shift).max() < {"same": 1e-9, "one color": 0.2, "noise": 0.1}[case]
 
@@ -168,7 +178,8 @@ def test_equations_are_moved_onto_the_atlas_frame_by_frame():
     wanted = np.concatenate([frame[known] - 0.5 for frame in frames]) * weight[:, None]
     equations = Equations(matrix, wanted.astype(np.float32))
     before = wanted.copy()
-    after, moved = aligned_frames(equations, ShownVideo([pixels, pixels, pixels[:0]], SIZE, PIXEL), given, true - given)
+    shown = ShownVideo([pixels, pixels, pixels[:0]], SIZE, PIXEL)
+    after, moved = aligned_frames(equations, shown, given, true - given, WINDOWS[0])
     assert moved == pytest.approx(0.5 * 2 * PIXEL, rel=0.1)  # half of the frames, by two pixels
     right = matrix @ (true - given)
     first = slice(0, len(pixels))

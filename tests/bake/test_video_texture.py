@@ -369,7 +369,7 @@ def test_frames_beside_each_other_are_sharper_moved_again(painted, videos, grey,
     filmed = replace(videos, estimated=True, found=found)
     left = {}
     for moves in (1, 2):
-        monkeypatch.setattr(video_texture, "MOVES", moves)
+        monkeypatch.setattr(video_texture, "WINDOWS", moves * (0.025,))
         solved = solve_texture(level_of_file(grey), painted.joint_positions, filmed, lambda line: None)
         left[moves] = solved.facts["body"]["rms_after"]
     assert left[2] < 0.97 * left[1]

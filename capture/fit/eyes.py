@@ -1,0 +1,239 @@
+"""Where the eyes are in the pictures of the head's video.
+
+A detector's points at the eyes are some millimetres off, each by its own, and an opening between lids is eight
+millimetres high: a ball behind lids drawn by such points gets the color of lids. So the opening keeps the free body's
+form, and where it lies is asked of the pixels. How deep: the frames that look at the face agree on a plane through the
+eyes at the right depth alone (plane sweep, Collins 1996); 3 mm off, an eye slides by as much from cheek to cheek, and a
+texture of all frames is blurred. Where in that plane: white, iris and skin round the lids differ most in color where
+the template's opening lies on theirs, which is Otsu's separability (1979) of three classes, between-class variance over
+total variance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+from scipy.interpolate import RBFInterpolator
+from scipy.signal import fftconvolve
+
+from avatar.camera import Camera, project
+from capture.fit.footage import Estimate
+from capture.fit.pixels import bilinear
+from capture.raw.scan import RawVideo
+from capture.template.eyes import body_sockets
+from geometry.closest import beyond_loop
+
+# cosine between where the face looks and its camera, at least, for their depth and for the rest; frames that are used,
+# at most and at least
+FACING, STRAIGHT, MOST, FEWEST = 0.8, 0.9, 24, 5
+# metres: depths that are tried, half the width and height of what is compared there; variance between frames over that
+# of the picture they agree on, at most
+DEPTHS, EYE, AGREED = np.linspace(-0.008, 0.008, 17), (0.014, 0.009), 0.6
+# metres: a pixel of the picture in the plane of the lids, and half its width and height
+PIXEL, HALF = 0.0004, (0.030, 0.022)
+# pixels of a frame that an iris of 12 mm is wide, at least
+IRIS_PIXELS = 6.0
+# metres: radii of an iris, where its middle may lie nearer to the nose than the opening's; widths and heights of the
+# opening beside the template's
+RADII, ASIDE, WIDTHS, HEIGHTS = (0.005, 0.006, 0.007, 0.008), (0.0, 0.001), (1.0, 1.12), (1.0, 1.25, 1.5)
+# metres: pixels so near to lids or to the edge of the iris say nothing; skin lies between these off the lids
+LASHES, SKIN = 0.0006, (0.0018, 0.005)
+# metres: how far an eye is sought up and aside; standard deviations of that, and of one eye's height from the other's
+REACH, EXPECTED, LEVEL = (0.008, 0.009), 0.004, 0.002
+# standard deviations of an opening's width and height beside the template's: lashes and shadow would do for more of it
+WIDTH, HEIGHT = 0.12, 0.35
+# weight of a standard deviation's square beside separability; a color's variance that noise has; by how much an eye is
+# whiter than its iris, and the least of both eyes' separability
+PRIOR, NOISE, WHITER, SEPARATE = 0.05, 4e-4, 0.02, 0.2
+# places looked at for each size, best first
+BEST = 150
+# metres: skin nearer to an eye goes with it, what is farther stays
+STILL, APART = 0.016, 0.006
+
+
+class Size(NamedTuple):
+    """An eye's opening beside the template's, and its iris."""
+
+    radius: float  # metres
+    aside: float
+    width: float
+    height: float
+
+
+SIZES = [Size(*values) for values in product(RADII, ASIDE, WIDTHS, HEIGHTS)]
+
+
+class FoundEyes(NamedTuple):
+    """Left and right eye."""
+
+    size: Size
+    moves: Float[Array, "2 3"]  # metres, of the openings' middles
+    separable: float  # mean of both
+
+
+def with_eyes_of_pictures(
+    estimate: Estimate, cameras: Sequence[Camera], video: RawVideo, usable: Bool[Array, "frames"]
+) -> Estimate:  # fmt: skip
+    """The estimate with lids and sockets where the head's video shows them; unchanged where it does not.
+
+    `cameras` are round the head, one a frame.
+    """
+    vertices = estimate.person.vertices(estimate.g)
+    found = find_eyes(vertices, cameras, video, usable)
+    if found is None:
+        return estimate
+    person = estimate.person
+    return replace(estimate, person=replace(person, offsets=person.offsets + eye_offsets(vertices, found)))
+
+
+def find_eyes(
+    vertices: Float[Array, "vertices 3"], cameras: Sequence[Camera], video: RawVideo, usable: Bool[Array, "frames"]
+) -> FoundEyes | None:
+    """Both eyes near those of a free body in pose 0; None where too few frames show them, or nothing is told apart."""
+    sockets = body_sockets()
+    middles = np.stack([opening_middle(vertices, socket.rim) for socket in sockets])
+    frames, straight = frames_of_eyes(cameras, middles.mean(0), usable)
+    if straight < FEWEST:
+        return None
+    views = [(video.picture(int(f)) / 255.0, cameras[f]) for f in frames]
+    # both alike: a sweep sees little of one of them where the head turns away
+    depth = float(np.mean([depth_of_eye(middle, views) for middle in middles]))
+    maps = []
+    for socket, middle, outwards in zip(sockets, middles, (1, -1)):
+        picture = np.median(planes(middle + [0, 0, depth], views[:straight], HALF), 0)
+        loop = in_order(vertices[socket.rim, :2] - middle[:2])
+        maps.append(np.stack([separability(picture, regions(loop, size, outwards)) for size in SIZES]))
+    found = best_pair(np.stack(maps, 1), middles[:, 1])
+    return None if found is None else found._replace(moves=found.moves + [0, 0, depth])
+
+
+def opening_middle(vertices: Float[Array, "vertices 3"], rim: Int[Array, "n"]) -> Float[Array, "3"]:
+    """The middle of the box round the edges of the lids."""
+    return 0.5 * (vertices[rim].min(0) + vertices[rim].max(0))
+
+
+def frames_of_eyes(
+    cameras: Sequence[Camera], at: Float[Array, "3"], usable: Bool[Array, "frames"]
+) -> tuple[Int[Array, "n"], int]:
+    """Frames that look at the face and show an iris large enough, straightest first; how many of them are STRAIGHT."""
+    ahead = np.array([(c.eye - at)[2] / np.linalg.norm(c.eye - at) for c in cameras])
+    wide = np.array([0.012 * c.K[0, 0] / np.linalg.norm(c.eye - at) for c in cameras])
+    good = np.flatnonzero(usable & (ahead > FACING) & (wide > IRIS_PIXELS))
+    chosen = good[np.argsort(-ahead[good], kind="stable")][:MOST]
+    return chosen, int((ahead[chosen] > STRAIGHT).sum())
+
+
+def grid(half: tuple[float, float]) -> tuple[Float[Array, "height width"], Float[Array, "height width"]]:
+    """x and y of the pixels' middles round the origin, y upwards."""
+    columns, rows = (int(size / PIXEL) for size in half)
+    v, u = np.mgrid[rows : -rows - 1 : -1, -columns : columns + 1] * PIXEL
+    return u, v
+
+
+def planes(
+    middle: Float[Array, "3"], views: list[tuple[Float[Array, "h w 3"], Camera]], half: tuple[float, float]
+) -> Float[Array, "frames height width 3"]:
+    """What frames show in the plane through a place that faces forwards, [0, 1] sRGB."""
+    u, v = grid(half)
+    places = middle + np.stack([u, v, np.zeros_like(u)], -1).reshape(-1, 3)
+    shown = [bilinear(picture, project(camera, places)[0]) for picture, camera in views]
+    return np.stack(shown).reshape(len(views), *u.shape, 3)
+
+
+def depth_of_eye(middle: Float[Array, "3"], views: list[tuple[Float[Array, "h w 3"], Camera]]) -> float:
+    """How far before the template's an eye lies, metres; 0 where frames agree nowhere in reach.
+
+    The light may change between frames: each one's mean color is taken off.
+    """
+    left = []
+    for depth in DEPTHS:
+        shown = planes(middle + [0, 0, depth], views, EYE)
+        shown = shown - shown.mean((1, 2), keepdims=True)
+        left.append(shown.var(0).mean() / max(float(shown.mean(0).var((0, 1)).mean()), 1e-9))
+    k = int(np.argmin(left))
+    if k in (0, len(left) - 1) or left[k] > AGREED:
+        return 0.0
+    a, b, c = left[k - 1 : k + 2]
+    return float(DEPTHS[k] + 0.5 * (a - c) / (a - 2 * b + c) * (DEPTHS[1] - DEPTHS[0]))
+
+
+def in_order(points: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    """Points round the origin, by their angle."""
+    return points[np.argsort(np.arctan2(points[:, 1], points[:, 0]), kind="stable")]
+
+
+def regions(loop: Float[Array, "n 2"], size: Size, outwards: int) -> Bool[Array, "3 height width"]:
+    """Iris, white of the eye and skin round an opening amid a window; `outwards`: the side of the temple, 1 or -1."""
+    u, v = grid((0.0185, 0.0185))
+    lids = beyond_loop(np.stack([u.ravel(), v.ravel()], 1), loop * [size.width, size.height]).reshape(u.shape)
+    away = np.hypot(u + outwards * size.aside, v) - size.radius
+    open_ = lids < -LASHES
+    return np.stack([open_ & (away < -LASHES), open_ & (away > LASHES), (lids > SKIN[0]) & (lids < SKIN[1])])
+
+
+def separability(picture: Float[Array, "height width 3"], masks: Bool[Array, "3 h w"]) -> Float[Array, "height width"]:
+    """Otsu's (1979) of the classes' colors with the window's middle at each pixel; -1 where the white is not white."""
+    count = masks.sum((1, 2)).astype(np.float64)
+    over = lambda values, mask: fftconvolve(values, mask[::-1, ::-1] / mask.sum(), mode="same")
+    mean = np.stack([np.stack([over(picture[..., c], mask) for c in range(3)], -1) for mask in masks])
+    square = np.stack([over((picture**2).sum(-1), mask) for mask in masks])
+    share = (count / count.sum())[:, None, None]
+    middle = (share[..., None] * mean).sum(0)
+    between = (share * ((mean - middle) ** 2).sum(-1)).sum(0)
+    within = (share * (square - (mean**2).sum(-1))).sum(0)
+    iris, white, skin = mean.min(-1)
+    return np.where((white > iris + WHITER) & (white > skin), between / (within + between + NOISE), -1.0)
+
+
+def best_pair(maps: Float[Array, "sizes 2 height width"], heights: Float[Array, "2"]) -> FoundEyes | None:
+    """The size and the places of two eyes alike in size and level that are told apart best; `heights` of the maps'
+    middles, metres."""
+    u, v = grid(HALF)
+    inside = (np.abs(v) < REACH[0]) & (np.abs(u) < REACH[1])
+    x, y = u[inside], v[inside]
+    score = maps[:, :, inside] - PRIOR * (x**2 + y**2) / EXPECTED**2
+    first = np.argsort(-score, -1)[..., :BEST]
+    best, found = -np.inf, None
+    for k, size in enumerate(SIZES):
+        left, right = first[k]
+        level = (heights[0] + y[left])[:, None] - (heights[1] + y[right])
+        form = ((size.width - 1) / WIDTH) ** 2 + ((size.height - 1) / HEIGHT) ** 2
+        both = score[k, 0, left][:, None] + score[k, 1, right] - PRIOR * (form + (level / LEVEL) ** 2)
+        i, j = np.unravel_index(both.argmax(), both.shape)
+        if both[i, j] > best:
+            at = np.array([left[i], right[j]])
+            best = float(both[i, j])
+            moves = np.stack([x[at], y[at], np.zeros(2)], 1)
+            found = FoundEyes(size, moves, float(maps[k][:, inside][[0, 1], at].mean()))
+    return found if found is not None and found.separable > SEPARATE else None
+
+
+def eye_offsets(vertices: Float[Array, "vertices 3"], found: FoundEyes) -> Float[Array, "vertices 3"]:
+    """What moves lids and sockets there; the skin between follows as smoothly as it can (Duchon 1977)."""
+    offsets, at, moves = np.zeros_like(vertices), [], []
+    sockets = body_sockets()
+    for socket, move in zip(sockets, found.moves):
+        rim = vertices[socket.rim]
+        wider = np.array([found.size.width, found.size.height, 1.0]) - 1
+        at.append(rim)
+        moves.append(move + wider * (rim - opening_middle(vertices, socket.rim)))
+    rims = np.concatenate(at)
+    apart = np.linalg.norm(vertices[:, None] - rims[:: len(rims) // 12], axis=2).min(1)
+    inside = np.concatenate([socket.inside for socket in sockets])
+    near = np.setdiff1d(np.flatnonzero(apart < 3 * STILL), inside)
+    far = vertices[near[apart[near] > STILL]]
+    _, one = np.unique((far / APART).round().astype(np.int64), axis=0, return_index=True)
+    still = far[one]
+    field = RBFInterpolator(np.concatenate([rims, still]), np.concatenate([*moves, np.zeros_like(still)]),
+                            kernel="linear")  # fmt: skip
+    skin = near[apart[near] <= STILL]
+    offsets[skin] = field(vertices[skin])
+    for socket, move in zip(sockets, moves):
+        own = np.setdiff1d(socket.inside, socket.rim)
+        offsets[own] = np.mean(move, 0)
+        offsets[socket.rim] = move
+    return offsets

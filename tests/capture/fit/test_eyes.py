@@ -1,0 +1,100 @@
+"""Eyes painted on the free body are found in pictures of its head, and lids and sockets go there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from avatar.camera import orbit_camera
+from capture.fit.eyes import FEWEST, find_eyes, in_order, opening_middle, with_eyes_of_pictures
+from capture.fit.footage import footage_of, unplaced
+from capture.fit.person import person_of
+from capture.frame_files import write_picture
+from capture.keypoints.record import Keypoints
+from capture.raw.scan import RawVideo
+from capture.template.eyes import body_sockets, socket_spheres
+from geometry.closest import beyond_loop
+
+SKIN, WHITE, IRIS = (0.72, 0.52, 0.42), (0.86, 0.84, 0.83), (0.30, 0.20, 0.14)
+FRAMES, SIZE = 7, 300
+
+
+@pytest.fixture(scope="module")
+def body():
+    return person_of("male").body.vertices
+
+
+def painted(vertices, camera, *, off=(0.0, 0.0, 0.0), taller=1.0, colors=(SKIN, WHITE, IRIS)):
+    """What a camera sees of a wall in the plane of the lids with both eyes on it, `off` metres from the template."""
+    row, column = np.mgrid[:SIZE, :SIZE] + 0.5
+    rays = np.stack([column.ravel(), row.ravel(), np.ones(SIZE * SIZE)], 1) @ np.linalg.inv(camera.K).T
+    rays = rays @ camera.camera_from_world[:3, :3]
+    picture = np.tile(np.array(colors[0]), (SIZE * SIZE, 1))
+    for socket in body_sockets():
+        middle = opening_middle(vertices, socket.rim)
+        length = (middle[2] + off[2] - camera.eye[2]) / rays[:, 2]
+        at = (camera.eye + length[:, None] * rays)[:, :2] - middle[:2] - off[:2]
+        loop = in_order(vertices[socket.rim, :2] - middle[:2]) * [1, taller]
+        near = np.flatnonzero(np.abs(at).max(1) < 0.03)
+        open_ = near[beyond_loop(at[near], loop) < 0]
+        picture[open_] = colors[1]
+        picture[open_[np.hypot(*at[open_].T) < 0.006]] = colors[2]
+    return np.uint8(255 * picture.reshape(SIZE, SIZE, 3))
+
+
+def filmed(vertices, folder, **drawn):
+    """Cameras that swing before the face, and a film of it."""
+    middle = opening_middle(vertices, body_sockets()[0].rim) * [0, 1, 1]
+    cameras = []
+    for angle in np.radians(np.linspace(-20, 20, FRAMES)):
+        cameras.append(orbit_camera(middle, 0.5, float(angle), 0.1, (SIZE, SIZE), np.radians(24)))
+    paths = [folder / f"{number}.png" for number in range(FRAMES)]
+    for path, camera in zip(paths, cameras):
+        write_picture(path, painted(vertices, camera, **drawn))
+    nothing = np.zeros((FRAMES, 0))
+    points = Keypoints((), np.zeros((FRAMES, 0, 2)), nothing, (SIZE, SIZE))
+    masks = np.zeros((FRAMES, SIZE, SIZE), np.uint8)
+    return cameras, RawVideo("head", (SIZE, SIZE), 30.0, np.arange(FRAMES), tuple(paths), masks, points, None)
+
+
+ALL = np.ones(FRAMES, bool)
+
+
+def test_eyes_are_found_aside_above_and_behind_the_templates(body, tmp_path):
+    cameras, film = filmed(body, tmp_path, off=(0.002, 0.0036, -0.003))
+    found = find_eyes(body, cameras, film, ALL)
+    assert found is not None and found.size.radius == 0.006 and found.size.height == found.size.width == 1
+    np.testing.assert_allclose(found.moves, [[0.002, 0.0036, -0.003]] * 2, atol=0.0008)
+
+
+def test_a_taller_opening_is_taller(body, tmp_path):
+    cameras, film = filmed(body, tmp_path, taller=1.8)
+    found = find_eyes(body, cameras, film, ALL)
+    assert found is not None and found.size.height > 1
+    np.testing.assert_allclose(found.moves, 0, atol=0.0008)
+
+
+def test_lids_and_sockets_go_there_and_the_brows_stay(body, tmp_path):
+    cameras, film = filmed(body, tmp_path, off=(-0.002, 0.003, 0.002))
+    person = person_of("male")
+    points = footage_of(film.keypoints, film.masks, (), np.zeros(0, np.int64), focal=1.0, focal_sigma=1.0)
+    before = unplaced(person, np.zeros(len(person.sigma)), points)
+    after = with_eyes_of_pictures(before, cameras, film, ALL)
+    moved = after.person.offsets
+    for socket in body_sockets():
+        np.testing.assert_allclose(moved[socket.rim].mean(0), [-0.002, 0.003, 0.002], atol=0.0008)
+        assert np.ptp(moved[socket.inside], axis=0).max() < 1e-3
+    balls = socket_spheres(body), socket_spheres(body + moved)
+    np.testing.assert_allclose(balls[1][:, :3] - balls[0][:, :3], [[-0.002, 0.003, 0.002]] * 2, atol=0.0008)
+    np.testing.assert_allclose(balls[1][:, 3], balls[0][:, 3], atol=2e-4)
+    far = np.linalg.norm(body - opening_middle(body, body_sockets()[0].rim), axis=1) > 0.1
+    assert (moved[far & (body[:, 0] > 0)] == 0).all()
+
+
+def test_closed_eyes_too_few_frames_and_a_head_from_afar_move_nothing(body, tmp_path):
+    cameras, film = filmed(body, tmp_path, colors=(SKIN, SKIN, SKIN))
+    assert find_eyes(body, cameras, film, ALL) is None
+    cameras, film = filmed(body, tmp_path)
+    assert find_eyes(body, cameras, film, np.arange(FRAMES) < FEWEST - 1) is None
+    far = [replace(camera, K=np.diag([0.1, 0.1, 1]) @ camera.K) for camera in cameras]
+    assert find_eyes(body, far, film, ALL) is None
