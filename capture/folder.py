@@ -267,9 +267,11 @@ def write_subject(path: Path, subject: CaptureSubject) -> None:
 
 def _read_video(path: Path, part: str, vertex_count: int, on_demand: bool) -> PartVideo:
     image_names, images = _read_frames(path / "images", "RGB", on_demand=on_demand)
-    mask_names, masks = _read_frames(path / "masks", "L", lambda grey: grey > 127)
-    # mixtures of the person and what lies behind
-    _, mixed = _read_frames(path / "masks", "L", lambda grey: (grey > MIXED[0]) & (grey < MIXED[1]))
+    # the person, and mixtures of it and what lies behind
+    mask_names, kinds = _read_frames(
+        path / "masks", "L", lambda grey: (grey > 127) + 2 * ((grey > MIXED[0]) & (grey < MIXED[1])).astype(np.uint8)
+    )
+    masks, mixed = (kinds & 1).astype(bool), kinds > 1
     if image_names != mask_names:
         name = sorted(set(image_names) ^ set(mask_names))[0]
         place = "images" if name in image_names else "masks"

@@ -1,5 +1,6 @@
 """Videos that are read when they are asked for: four of 1080p and 100 frames are 4 GB, and one is used at a time."""
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 from weakref import WeakValueDictionary
@@ -9,12 +10,13 @@ import numpy as np
 if TYPE_CHECKING:
     from capture.folder import PartVideo
 
-# bytes of videos that are kept once they were read; the last one always is
-KEPT = 800_000_000
+# bytes of videos that are kept once they were read: at least, at most, and share of the machine's memory between them;
+# the last one always is
+KEPT, MOST, SHARE = 800_000_000, 3_000_000_000, 0.12
 
 
 class Videos(Mapping[str, "PartVideo"]):
-    """Videos by part. Who holds one keeps it in memory; of the others those read last stay, up to KEPT bytes."""
+    """Videos by part. Who holds one keeps it in memory; of the others those read last stay, up to `most_kept` bytes."""
 
     def __init__(self, read: Mapping[str, Callable[[], "PartVideo"]], recent: "list[PartVideo] | None" = None):
         self.read = dict(read)
@@ -26,11 +28,11 @@ class Videos(Mapping[str, "PartVideo"]):
         video = self._alive.get(part)
         if video is None:
             # room is made first: both at once would be twice the memory
-            while self.recent and sum(map(size_of, self.recent)) > KEPT // 2:
+            while self.recent and sum(sizes := [size_of(one) for one in self.recent]) + max(sizes) > most_kept():
                 self.recent.pop(0)
             video = self._alive[part] = self.read[part]()
         self.recent[:] = [one for one in self.recent if one is not video] + [video]
-        while len(self.recent) > 1 and sum(map(size_of, self.recent)) > KEPT:
+        while len(self.recent) > 1 and sum(map(size_of, self.recent)) > most_kept():
             self.recent.pop(0)
         return video
 
@@ -61,6 +63,13 @@ def let_go(videos: Mapping[str, "PartVideo"]) -> None:
     """Free the videos that can be read again and have no other holder."""
     if isinstance(videos, Videos):
         videos.recent.clear()
+
+
+def most_kept() -> int:
+    """Bytes of videos that this machine keeps: four of 1080p read anew for each use take a third of a training that
+    learns nothing."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 0
+    return max(KEPT, min(MOST, int(SHARE * memory)))
 
 
 def size_of(video: "PartVideo") -> int:

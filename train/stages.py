@@ -19,7 +19,7 @@ from avatar.light import CaptureLight
 from avatar.similarity import Registration, similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.fit.align import ROUNDS
-from capture.fit.refine import RefineJob, copy_refined, refine_capture, with_learned, with_refined
+from capture.fit.refine import RefineJob, copy_refined, may_refine, refine_capture, with_learned, with_refined
 from capture.folder import Capture, CaptureSubject, read_capture, write_subject
 from capture.light.fit import fit_capture_light, light_line
 from capture.template.clothes import with_clothes
@@ -321,7 +321,7 @@ def _refine(training: Training) -> dict:
 
     def refined() -> dict:
         choice, capture = training.options.refine_poses, training.capture
-        if training.preset.clothes and choice != "off":
+        if training.preset.clothes and may_refine(capture, choice):
             # or the outline of a skirt would be taken for that of legs that stand elsewhere
             capture = replace(capture, subject=_dressed(capture.subject, capture, training.say))
         return refine_capture(capture, training.session.partial, choice, training.say, run)

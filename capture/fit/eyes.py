@@ -15,7 +15,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray as Array
 from scipy.interpolate import RBFInterpolator
 from scipy.signal import fftconvolve
@@ -99,7 +99,7 @@ def find_eyes(
     frames, straight = frames_of_eyes(cameras, middles.mean(0), usable)
     if straight < FEWEST:
         return None
-    views = [(video.picture(int(f)) / 255.0, cameras[f]) for f in frames]
+    views = [(video.picture(int(f)), cameras[f]) for f in frames]
     # both alike: a sweep sees little of one of them where the head turns away
     depth = float(np.mean([depth_of_eye(middle, views) for middle in middles]))
     maps = []
@@ -135,16 +135,16 @@ def grid(half: tuple[float, float]) -> tuple[Float[Array, "height width"], Float
 
 
 def planes(
-    middle: Float[Array, "3"], views: list[tuple[Float[Array, "h w 3"], Camera]], half: tuple[float, float]
+    middle: Float[Array, "3"], views: list[tuple[UInt8[Array, "h w 3"], Camera]], half: tuple[float, float]
 ) -> Float[Array, "frames height width 3"]:
     """What frames show in the plane through a place that faces forwards, [0, 1] sRGB."""
     u, v = grid(half)
     places = middle + np.stack([u, v, np.zeros_like(u)], -1).reshape(-1, 3)
-    shown = [bilinear(picture, project(camera, places)[0]) for picture, camera in views]
+    shown = [bilinear(picture, project(camera, places)[0]) / 255 for picture, camera in views]
     return np.stack(shown).reshape(len(views), *u.shape, 3)
 
 
-def depth_of_eye(middle: Float[Array, "3"], views: list[tuple[Float[Array, "h w 3"], Camera]]) -> float:
+def depth_of_eye(middle: Float[Array, "3"], views: list[tuple[UInt8[Array, "h w 3"], Camera]]) -> float:
     """How far before the template's an eye lies, metres; 0 where frames agree nowhere in reach.
 
     The light may change between frames: each one's mean color is taken off.

@@ -18,7 +18,8 @@ def bilinear(image: Num[Array, "height width c"], pixels: Float[Array, "n 2"]) -
     """What a picture shows at places between its pixels."""
     place = (pixels[:, ::-1] - 0.5).T
     channels = np.moveaxis(image, 2, 0)
-    return np.stack([ndimage.map_coordinates(one, place, order=1, mode="nearest") for one in channels], 1)
+    read = lambda one: ndimage.map_coordinates(one, place, np.float64, order=1, mode="nearest")
+    return np.stack([read(one) for one in channels], 1)
 
 
 class PixelEquations(NamedTuple):

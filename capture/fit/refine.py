@@ -57,7 +57,7 @@ def refine_capture(
     fitted to outlines and keypoints together, which outlines alone would draw away again. `run` does the jobs, several
     at a time. Files that are there (a training that goes on) are kept.
     """
-    if choice == "off" or (choice == "auto" and capture.fitted_here):
+    if not may_refine(capture, choice):
         return {}
     done = folder / "refined.json"
     if done.exists():
@@ -85,6 +85,11 @@ def refine_capture(
     with whole_file(done, "w") as file:
         json.dump(facts, file)
     return facts
+
+
+def may_refine(capture: Capture, choice: str) -> bool:
+    """Whether there is anything to measure: what was fitted here was fitted to its outlines."""
+    return choice == "on" or (choice == "auto" and not capture.fitted_here)
 
 
 def refine_part(job: RefineJob, reporter: Reporter) -> dict:

@@ -158,4 +158,4 @@ def _shown(
     width, height = camera.size
     inside = (depth > 0) & ((pixels >= 1) & (pixels < np.array([width - 1, height - 1]))).all(1)
     hidden = first_hits(camera.eye, -back / length[:, None], corners) < length - THICK
-    return bilinear(image / 255, pixels), inside & ~hidden & (facing > FACING), facing
+    return bilinear(image, pixels) / 255, inside & ~hidden & (facing > FACING), facing

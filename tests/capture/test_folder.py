@@ -195,6 +195,7 @@ def counted(monkeypatch):
         return sum(one() is not None for one in pixels)
 
     monkeypatch.setattr(capture.videos, "KEPT", 3 * size_of(video("body")) // 2)
+    monkeypatch.setattr(capture.videos, "SHARE", 0)
     return Videos({part: lambda part=part: read(part) for part in PARTS}), reads, held
 
 
