@@ -118,9 +118,16 @@ class _Seen(NamedTuple):
 
 def _blurred(image: Array, mask: Bool[Array, "h w"], blur: float) -> Float[Array, "h w 3"]:
     """A frame in [0, 1], blurred inside the mask: the black round it is no color of anything."""
-    inside = ndimage.gaussian_filter(mask.astype(np.float64), blur)
-    lit = image.astype(np.float64) / 255 * mask[..., None]
-    return ndimage.gaussian_filter(lit, (blur, blur, 0)) / np.maximum(inside, 1e-3)[..., None]
+    blurred = np.zeros(image.shape)
+    if mask.any():
+        # as far as the filter reaches, there is nothing beyond
+        margin = int(4 * blur) + 1
+        ends = [np.flatnonzero(mask.any(axis))[[0, -1]] for axis in (1, 0)]
+        box = tuple(slice(max(int(a) - margin, 0), int(b) + margin + 1) for a, b in ends)
+        inside = ndimage.gaussian_filter(mask[box].astype(np.float64), blur)
+        lit = image[box].astype(np.float64) / 255 * mask[box][..., None]
+        blurred[box] = ndimage.gaussian_filter(lit, (blur, blur, 0)) / np.maximum(inside, 1e-3)[..., None]
+    return blurred
 
 
 def _rows(
