@@ -47,6 +47,8 @@ class SynthSubject:
     notes: tuple[str, ...] = ()
     # vertices of the eyeballs; None: the file does not separate them
     eye: Bool[np.ndarray, "vertices"] | None = None
+    # named places of the face (synth/face_places.py), where they are known; None: they are looked for
+    features: dict[str, Float[np.ndarray, "3"]] | None = None
 
 
 def read_subject(path: Path) -> SynthSubject:

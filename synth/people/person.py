@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from avatar.skeleton import PARTS, joint_transforms, skin_transforms
+from avatar.skeleton import JOINTS, PARTS, joint_transforms, skin_transforms
 from avatar.skinning import skin_points, strongest_four
+from capture.fit.points import body_points
+from capture.keypoints.record import FACE
 from capture.read.template import part_of
 from synth.people.body import built_in, figure, skin_pieces
 from synth.people.clothes import dress
@@ -16,11 +18,22 @@ from synth.people.mesh import PersonPiece
 from synth.people.shoes import heel_pieces, in_shoes, raised, shoe_pieces
 from synth.subject import SynthSubject
 
+HEAD = JOINTS.index("head")
+EYES_AND_EARS = ("left_eye", "right_eye", "left_ear", "right_ear")
 LICENCE = "CC0-1.0 (body: MakeHuman base mesh; clothes, hair and colors: this project)"
 
 
 def person(seed: int) -> SynthSubject:
-    return subject_of(*made(draw(seed)), f"builtin:{seed}")
+    looks = draw(seed)
+    return replace(subject_of(*made(looks), f"builtin:{seed}"), features=features_of(looks))
+
+
+def features_of(looks: Looks) -> dict[str, Float[np.ndarray, "3"]]:
+    """Eyes, nose, ears and face_00 to face_67 of a person, in its shoes."""
+    body = figure(looks)
+    T = skin_transforms(raised(looks.heel), body.joints, rest=np.zeros((52, 3)))[HEAD]
+    at = {name: point.place(body.vertices, body.joints) for name, point in body_points().items()}
+    return {name: T[:3, :3] @ at[name] + T[:3, 3] for name in ("nose", *EYES_AND_EARS, *FACE)}
 
 
 def made(looks: Looks) -> tuple[list[PersonPiece], Float[np.ndarray, "52 3"]]:

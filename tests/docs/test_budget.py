@@ -17,7 +17,7 @@ BUDGET = {
     "bake": 5_772,
     "player": 19_451,
     "shaders": 915,
-    "synth": 3_747,
+    "synth": 3_765,
     "bench": 4_768,
     "selfscan": 514,
     "tests": 36_736,
