@@ -20,13 +20,14 @@ from scipy.spatial import KDTree
 from avatar.similarity import Registration
 from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
-from capture.folder import Capture, CaptureSubject
+from capture.folder import Capture, CaptureSubject, PartVideo
 from capture.register.head_consistency import place_by_consistency
 from capture.register.head_height import height_by_outline
 from capture.register.photometric import ColoredHead, refine_on_video
 from capture.template.layers import BODY, without_hair
 from capture.template.parts import part_boxes, rigid_weights
 from capture.template.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
+from command.workers import on_all_cores
 from geometry.harmonic import fill_reached
 from geometry.icp import Anchors, refine_by_surfaces
 from geometry.mesh import TriangleMesh, restricted, vertex_normals
@@ -268,11 +269,14 @@ def view_sums(
     canonical_from_head: Float[Array, "4 4"],
 ) -> list[ViewSums]:  # fmt: skip
     """Of each part's video, the directions that the vertices with a share in that part were seen from."""
-    return [
-        part_views(capture.videos[name], capture.subject, shown.vertices, shown.normals, shown.skin,
-                   shares[:, index] > 0, canonical_from_head if name == "head" else None)
-        for index, name in enumerate(PARTS)
-    ]  # fmt: skip
+
+    def of_part(video: PartVideo) -> ViewSums:
+        """Those of one video."""
+        place = canonical_from_head if video.part == "head" else None
+        inside = shares[:, PARTS.index(video.part)] > 0
+        return part_views(video, capture.subject, shown.vertices, shown.normals, shown.skin, inside, place)
+
+    return list(on_all_cores(of_part, (capture.videos[name] for name in PARTS)))
 
 
 def with_views(

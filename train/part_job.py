@@ -33,7 +33,7 @@ from train.pose_correction import PoseCorrection
 from train.prefit import fit_template
 from train.preset import PartPreset, Preset
 from train.rays import FilmedPart, RaySettings, RayTensors, part_rays
-from train.template_grid import template_grid
+from train.template_grid import TemplateGrid, template_grid
 from train.trainer import Checkpoints, FieldTraining, Position, Watch, peak_memory, train_field
 from train.union import write_rays
 
@@ -229,13 +229,20 @@ def template_field(
     subject: CaptureSubject, index: int, settings: PartPreset, frames: int, visible: Bool[Array, "faces"]
 ) -> tuple[PartField, SurfaceCloud]:
     """The untrained field of part `index`, and the samples of the template's `visible` faces that it was made of."""
+    template, cloud = template_distance(subject, index, settings, visible)
+    return run_folder.build_field(subject, index, settings, template, frames), cloud
+
+
+def template_distance(
+    subject: CaptureSubject, index: int, settings: PartPreset, visible: Bool[Array, "faces"]
+) -> tuple[TemplateGrid, SurfaceCloud]:
+    """Distance of the template's `visible` faces in the box of part `index`, and the samples that it is of."""
     name, extent, cell = PARTS[index], part_boxes(subject)[index].extent, settings.cell
     cloud = surface_cloud(subject, index, visible, settings.spacing)
     if name == "body" and subject.behind_cloth is not None:
         cell = min(cell, 0.5 * THICK)
     closed = (subject, neck_height(subject)) if name == "head" else None
-    template = template_grid(cloud, extent.low, extent.high, cell, closed)
-    return run_folder.build_field(subject, index, settings, template, frames), cloud
+    return template_grid(cloud, extent.low, extent.high, cell, closed), cloud
 
 
 def ray_settings(part: PartPreset, preset: Preset) -> RaySettings:

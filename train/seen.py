@@ -11,13 +11,15 @@ from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.light import CaptureLight
+from avatar.skeleton import PARTS
 from capture.folder import Capture, CaptureSubject
 from capture.light.seen_colors import seen_colors
 from capture.template.surface import visible_faces
+from command.workers import on_all_cores
 from train import run as run_folder
 from train.field import PartField
 from train.networks.seen import SeenColor
-from train.part_job import template_field
+from train.part_job import template_distance
 from train.preset import Preset
 
 # metres from the template beyond which no color is asked for
@@ -29,11 +31,16 @@ def seen_parts(
 ) -> dict[str, dict]:
     """Write PART.pt of the painted parts into `folder`; what run.json says of each. `lights` are the videos'."""
     began = time.monotonic()
+    # what stays untrained, and shows nothing, is the same in every run
+    torch.manual_seed(seed)
     colors = seen_colors(capture, lights, seed)
     visible, facts = visible_faces(capture.subject), {}
-    for index, (name, settings) in enumerate(zip(preset.names, preset.parts, strict=True)):
+    made = on_all_cores(
+        lambda index: template_distance(capture.subject, index, preset.parts[index], visible)[0], range(len(PARTS))
+    )
+    for index, (name, settings, template) in enumerate(zip(preset.names, preset.parts, made, strict=True)):
         frames = len(capture.videos[name].images)
-        field, _ = template_field(capture.subject, index, settings, frames, visible)
+        field = run_folder.build_field(capture.subject, index, settings, template, frames)
         paint(field, capture.subject, colors)
         run_folder.write_part(folder / f"{name}.pt", field)
         facts[name] = {"steps": 0, "seconds": round(time.monotonic() - began, 1), "peak_memory_mb": None}

@@ -13,7 +13,7 @@ BUDGET = {
     "avatar": 9_210,
     "geometry": 1_693,
     "capture": 12_588,
-    "train": 5_298,
+    "train": 5_316,
     "bake": 5_772,
     "player": 19_451,
     "shaders": 915,
