@@ -37,15 +37,17 @@ DEPTHS, EYE, AGREED = np.linspace(-0.008, 0.008, 17), (0.014, 0.009), 0.6
 PIXEL, HALF = 0.0004, (0.030, 0.022)
 # pixels of a frame that an iris of 12 mm is wide, at least
 IRIS_PIXELS = 6.0
-# metres: radii of an iris, where its middle may lie nearer to the nose than the opening's; widths and heights of the
-# opening beside the template's
-RADII, ASIDE, WIDTHS, HEIGHTS = (0.005, 0.006, 0.007, 0.008), (0.0, 0.001), (1.0, 1.12), (1.0, 1.25, 1.5)
+# metres: radii of an iris, and by how much nearer to the nose its middle may lie than the opening's (.002 on the free
+# body); heights of the opening beside the template's
+RADII, ASIDE, HEIGHTS = (0.005, 0.006, 0.007, 0.008), (0.0, 0.001, 0.002), (1.0, 1.25, 1.5)
+# metres to either side of the opening's middle whose lids say how deep it is: its corners lie behind
+LIDS = 0.004
 # metres: pixels so near to lids or to the edge of the iris say nothing; skin lies between these off the lids
 LASHES, SKIN = 0.0006, (0.0018, 0.005)
 # metres: how far an eye is sought up and aside; standard deviations of that, and of one eye's height from the other's
 REACH, EXPECTED, LEVEL = (0.008, 0.009), 0.004, 0.002
-# standard deviations of an opening's width and height beside the template's: lashes and shadow would do for more of it
-WIDTH, HEIGHT = 0.12, 0.35
+# standard deviation of an opening's height beside the template's: lashes and shadow would do for more of it
+HEIGHT = 0.35
 # weight of a standard deviation's square beside separability; a color's variance that noise has; by how much an eye is
 # whiter than its iris, and the least of both eyes' separability
 PRIOR, NOISE, WHITER, SEPARATE = 0.05, 4e-4, 0.02, 0.2
@@ -60,11 +62,10 @@ class Size(NamedTuple):
 
     radius: float  # metres
     aside: float
-    width: float
     height: float
 
 
-SIZES = [Size(*values) for values in product(RADII, ASIDE, WIDTHS, HEIGHTS)]
+SIZES = [Size(*values) for values in product(RADII, ASIDE, HEIGHTS)]
 
 
 class FoundEyes(NamedTuple):
@@ -112,8 +113,11 @@ def find_eyes(
 
 
 def opening_middle(vertices: Float[Array, "vertices 3"], rim: Int[Array, "n"]) -> Float[Array, "3"]:
-    """The middle of the box round the edges of the lids."""
-    return 0.5 * (vertices[rim].min(0) + vertices[rim].max(0))
+    """The middle of the box round the edges of the lids, as deep as the lids are there."""
+    edges = vertices[rim]
+    middle = 0.5 * (edges.min(0) + edges.max(0))
+    middle[2] = edges[np.abs(edges[:, 0] - middle[0]) < LIDS, 2].mean()
+    return middle
 
 
 def frames_of_eyes(
@@ -169,7 +173,7 @@ def in_order(points: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
 def regions(loop: Float[Array, "n 2"], size: Size, outwards: int) -> Bool[Array, "3 height width"]:
     """Iris, white of the eye and skin round an opening amid a window; `outwards`: the side of the temple, 1 or -1."""
     u, v = grid((0.0185, 0.0185))
-    lids = beyond_loop(np.stack([u.ravel(), v.ravel()], 1), loop * [size.width, size.height]).reshape(u.shape)
+    lids = beyond_loop(np.stack([u.ravel(), v.ravel()], 1), loop * [1, size.height]).reshape(u.shape)
     away = np.hypot(u + outwards * size.aside, v) - size.radius
     open_ = lids < -LASHES
     return np.stack([open_ & (away < -LASHES), open_ & (away > LASHES), (lids > SKIN[0]) & (lids < SKIN[1])])
@@ -201,8 +205,8 @@ def best_pair(maps: Float[Array, "sizes 2 height width"], heights: Float[Array, 
     for k, size in enumerate(SIZES):
         left, right = first[k]
         level = (heights[0] + y[left])[:, None] - (heights[1] + y[right])
-        form = ((size.width - 1) / WIDTH) ** 2 + ((size.height - 1) / HEIGHT) ** 2
-        both = score[k, 0, left][:, None] + score[k, 1, right] - PRIOR * (form + (level / LEVEL) ** 2)
+        taller = (size.height - 1) / HEIGHT
+        both = score[k, 0, left][:, None] + score[k, 1, right] - PRIOR * (taller**2 + (level / LEVEL) ** 2)
         i, j = np.unravel_index(both.argmax(), both.shape)
         if both[i, j] > best:
             at = np.array([left[i], right[j]])
@@ -218,9 +222,8 @@ def eye_offsets(vertices: Float[Array, "vertices 3"], found: FoundEyes) -> Float
     sockets = body_sockets()
     for socket, move in zip(sockets, found.moves):
         rim = vertices[socket.rim]
-        wider = np.array([found.size.width, found.size.height, 1.0]) - 1
         at.append(rim)
-        moves.append(move + wider * (rim - opening_middle(vertices, socket.rim)))
+        moves.append(move + [0, found.size.height - 1, 0] * (rim - opening_middle(vertices, socket.rim)))
     rims = np.concatenate(at)
     apart = np.linalg.norm(vertices[:, None] - rims[:: len(rims) // 12], axis=2).min(1)
     inside = np.concatenate([socket.inside for socket in sockets])

@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_263,
     "avatar": 9_210,
     "geometry": 1_693,
-    "capture": 12_588,
+    "capture": 12_591,
     "train": 5_316,
     "bake": 5_772,
     "player": 19_451,
