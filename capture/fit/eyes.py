@@ -5,7 +5,7 @@ millimetres high: a ball behind lids drawn by such points gets the color of lids
 form, and where it lies is asked of the pixels. How deep: the frames that look at the face agree on a plane through the
 eyes at the right depth alone (plane sweep, Collins 1996); 3 mm off, an eye slides by as much from cheek to cheek, and a
 texture of all frames is blurred. Where in that plane: white, iris and skin round the lids differ most in color where
-the template's opening lies on theirs, which is Otsu's separability (1979) of three classes, between-class variance over
+the template's opening lies on them, which is Otsu's separability (1979) of three classes, between-class variance over
 total variance.
 """
 
@@ -30,8 +30,8 @@ from geometry.closest import beyond_loop
 # cosine between where the face looks and its camera, at least, for their depth and for the rest; frames that are used,
 # at most and at least
 FACING, STRAIGHT, MOST, FEWEST = 0.8, 0.9, 24, 5
-# metres: depths that are tried, half the width and height of what is compared there; variance between frames over that
-# of the picture they agree on, at most
+# metres: depths that are tried, half the width and height of what is compared there; most variance between frames, as
+# a share of that within their mean
 DEPTHS, EYE, AGREED = np.linspace(-0.008, 0.008, 17), (0.014, 0.009), 0.6
 # metres: a pixel of the picture in the plane of the lids, and half its width and height
 PIXEL, HALF = 0.0004, (0.030, 0.022)
@@ -94,7 +94,7 @@ def with_eyes_of_pictures(
 def find_eyes(
     vertices: Float[Array, "vertices 3"], cameras: Sequence[Camera], video: RawVideo, usable: Bool[Array, "frames"]
 ) -> FoundEyes | None:
-    """Both eyes near those of a free body in pose 0; None where too few frames show them, or nothing is told apart."""
+    """Both eyes near those of a free body in pose 0; None where too few frames show them, or nothing is separable."""
     sockets = body_sockets()
     middles = np.stack([opening_middle(vertices, socket.rim) for socket in sockets])
     frames, straight = frames_of_eyes(cameras, middles.mean(0), usable)
@@ -194,7 +194,7 @@ def separability(picture: Float[Array, "height width 3"], masks: Bool[Array, "3 
 
 
 def best_pair(maps: Float[Array, "sizes 2 height width"], heights: Float[Array, "2"]) -> FoundEyes | None:
-    """The size and the places of two eyes alike in size and level that are told apart best; `heights` of the maps'
+    """The size and the places of two eyes alike in size and level that are separable best; `heights` of the maps'
     middles, metres."""
     u, v = grid(HALF)
     inside = (np.abs(v) < REACH[0]) & (np.abs(u) < REACH[1])
