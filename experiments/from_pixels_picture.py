@@ -24,8 +24,8 @@ from player import OffscreenRenderer, motion_for
 Array = np.ndarray
 
 SIDE = 400
-# of a video, that is shown: somebody is in it, and turned
-SHARE = 0.55
+# of a video, that is shown: somebody is in it, and seen from the front
+SHARE = 0.4
 # of the motion `counting`
 FRAME = 40
 # joint, metres above it, metres from the camera and its turn
