@@ -1,4 +1,4 @@
-"""Videos that are read when they are asked for: four of 1080p and 100 frames are 4 GB, and one is used at a time."""
+"""Videos that are read when they are asked for: four of 1080p and 100 frames are 4 GB. What there is room for stays."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -2,7 +2,7 @@
 
 An average face is laid onto this one by the tip of its nose; its eyes go to where the eyeballs are, its mouth to the
 dent between the lips, and what lies between follows. Drawn people's places are those of the free body, whose shape
-they have: laid on a drawn face the average is a centimetre off (rms; ears two, a mouth in one of eight).
+they have: laid on a drawn face the average is a centimetre off (rms; ears, and one mouth of eight, two).
 """
 
 import numpy as np

@@ -98,7 +98,7 @@ class _CloseUps(NamedTuple):
     """Videos that are fitted one after the other, for a worker process."""
 
     footages: dict[str, Footage]
-    head: RawVideo
+    film: RawVideo | None  # the one that shows the head, where that is among them
     estimate: Estimate  # the body's
     filmed: bool  # or cut from the body's video, which may show too little
 
@@ -117,7 +117,7 @@ def _fit_close_ups(job: _CloseUps, reporter: Reporter) -> _SeenClose:
     person, g = estimate.person, estimate.g
     try:
         for part, footage in job.footages.items():
-            estimate, videos[part] = fit.close_up(part, estimate, footage, job.head)
+            estimate, videos[part] = fit.close_up(part, estimate, footage, job.film)
     except AssetError as error:
         if job.filmed:
             raise
@@ -135,7 +135,9 @@ def _with_close_ups(
     for name, parts in CLOSE_UPS.items():
         there = {part: seen[part] for part in parts if part in seen}
         if there:
-            jobs[name] = _CloseUps(there, film, estimate, parts[0] in footages or name == "hands")
+            jobs[name] = _CloseUps(
+                there, film if name == "head" else None, estimate, parts[0] in footages or name == "hands"
+            )
     workers = min(os.cpu_count() or 1, len(jobs))
     board = ProgressBoard({name: sum(STEPS[part] for part in job.footages) for name, job in jobs.items()}, workers)
     done = run_jobs(jobs, _fit_close_ups, board, workers)
@@ -159,7 +161,9 @@ class _Fit:
         self.show(end, name)
         return found
 
-    def close_up(self, part: str, estimate: Estimate, footage: Footage, film: RawVideo) -> tuple[Estimate, FittedVideo]:
+    def close_up(
+        self, part: str, estimate: Estimate, footage: Footage, film: RawVideo | None
+    ) -> tuple[Estimate, FittedVideo]:
         """Head, with the film that shows it, or hand, after what was found before; AssetError: too few points show it,
         or nothing explains them."""
         check_footage(part, footage)
@@ -169,6 +173,7 @@ class _Fit:
             camera = estimate.camera(footage)
             cameras = tuple(replace(camera, camera_from_world=pose) for pose in head.camera_from_head(estimate))
             usable = check_fit(part, estimate, footage)
+            assert film is not None
             estimate = with_eyes_of_pictures(estimate, cameras, film, usable)
             return estimate, FittedVideo(cameras, None, None, usable)
         side = part.removeprefix("hand_")

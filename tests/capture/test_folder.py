@@ -220,6 +220,14 @@ def test_small_videos_are_read_once(counted, monkeypatch):
     assert reads == list(PARTS)
 
 
+def test_a_machine_with_memory_keeps_more(counted, monkeypatch):
+    videos, reads, _ = counted
+    monkeypatch.setattr(capture.videos, "SHARE", 0.1)
+    for _ in range(2):
+        assert len(list(videos.values())) == 4
+    assert reads == list(PARTS)
+
+
 def test_a_video_that_is_in_use_is_not_read_again(counted):
     videos, reads, _ = counted
     body = videos["body"]

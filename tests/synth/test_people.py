@@ -1,12 +1,16 @@
 """People drawn from a seed: the same each time, all kinds among twelve, closed, skinned, cut as drawn, and filmed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from avatar.skeleton import JOINTS, PARTS
 from command.errors import AssetError
 from geometry.mesh import TriangleMesh, component_labels, enclosed_volume, half_edges, weld
 from synth.command import load_subject
+from synth.face_places import face_places
 from synth.film import frame_points
 from synth.light import STILL
 from synth.people.body import figure
@@ -136,3 +140,14 @@ def test_a_seed_is_a_subject_and_another_word_is_refused():
     for name in ("builtin:-1", "builtin:child", "builtin:1.5", "builtin2"):
         with pytest.raises(AssetError, match="builtin:SEED"):
             load_subject(name)
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_features_of_a_face_are_on_it_in_heels_too(seed):
+    someone = load_subject(f"builtin:{seed}")
+    found = face_places(someone)
+    away = KDTree(someone.vertices).query(np.stack(list(found.values())))[0]
+    assert away.max() < 0.004
+    assert found["face_57"][1] < found["face_62"][1] < found["face_51"][1] < found["face_33"][1]
+    guessed = face_places(replace(someone, features=None))
+    assert np.linalg.norm(found["left_ear"] - guessed["left_ear"]) > 0.005

@@ -22,6 +22,7 @@ from capture.fit.priors import shared_layout, standing
 from capture.fit.scan import STEPS, template_of
 from capture.fit.solve import assemble, moved, posed_frames, solve
 from capture.keypoints.record import Keypoints
+from capture.template.eyes import body_sockets
 from tests.turning_twin import in_clothes, pictured, pixels_of, turning_twin
 
 FRAMES, SIZE = 16, 400
@@ -150,6 +151,14 @@ def test_features_go_where_they_were_seen_and_the_scalp_stays():
     crown, nose = estimate.person.body.vertices[:, 1].argmax(), points["face_27"].vertices
     assert np.abs(moved[crown]).max() < 2e-4 > np.abs(moved[~chosen]).max() and np.abs(moved[nose]).max() < 1e-3
     np.testing.assert_allclose(pixels_of(found, footage), pixels_of(estimate, footage), atol=1e-6)
+
+
+def test_points_of_an_eye_that_err_each_by_itself_leave_its_opening_as_it_is():
+    sides = {f"face_{number}": (0.004 * (-1) ** number, 0.003, 0.0) for number in range(42, 48)}
+    estimate, footage = turning_head(np.linspace(-1, 1, 5), **sides)
+    moved = with_own_face(estimate, footage, head.head_vertices(estimate.person)).person.offsets
+    rim = body_sockets()[0].rim
+    assert np.ptp(moved[rim], axis=0).max() < 1e-3 < 0.0015 < moved[rim, 1].mean()
 
 
 def in_one_picture(thickness=0.0):
