@@ -31,6 +31,8 @@ class RunVideos:
     estimated: bool
     # canonical height of the chin, metres, where they were and the head was filmed
     chin: float | None
+    # how the person sat under the head was found as well
+    trunk: bool
 
     def video(self, part: str) -> PartVideo:
         """One video, in the poses that training ended with; one at a time, for they are large."""
@@ -65,7 +67,7 @@ def run_videos(path: Path, facts: Facts, given: Path | None) -> RunVideos:
     estimated = capture.facts.get("pose_noise_deg") != 0
     videos = RunVideos(
         folder, path if same else None, matrix_of(path, facts, "head_from_canonical"), lights_of(path, facts),
-        estimated, capture.chin if estimated else None,
+        estimated, capture.chin if estimated else None, capture.videos["head"].trunk is not None,
     )  # fmt: skip
     if not same:
         _check_head(videos, capture, path)

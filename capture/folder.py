@@ -101,6 +101,8 @@ class PartVideo:
     landmarks: Float[Array, "points 3"] | None  # head frame, its own unit
     landmark_vertices: Int[Array, "points"] | None  # template vertices of the same places
     unsure: Bool[Array, "frames height width"] | None = None  # pixels whose mask is not to be believed
+    # head: joint angles of the person who goes with the head's bone; None: unknown, the head alone is believed
+    trunk: Float[Array, "frames 52 3"] | None = None
 
 
 @dataclass(frozen=True)
@@ -294,7 +296,11 @@ def _read_video(path: Path, part: str, vertex_count: int, on_demand: bool) -> Pa
     unsure = mixed if mixed.any() else None
     if part == "head":
         points, vertices = read_head_landmarks(path / "landmarks.json", vertex_count)
-        return PartVideo(part, images, masks, cameras, None, None, points, vertices, unsure)
+        trunk = None
+        if (path / "trunk.npz").exists():
+            fields = read_npz(path / "trunk.npz", "the trunk's poses", ("axis_angle",))
+            trunk = field(path / "trunk.npz", fields, "axis_angle", (frames, 52, 3)).astype(np.float64)
+        return PartVideo(part, images, masks, cameras, None, None, points, vertices, unsure, trunk)
     poses = read_video_poses(path / "poses.npz", frames)
     return PartVideo(part, images, masks, cameras, poses.axis_angle, poses.root, None, None, unsure)
 

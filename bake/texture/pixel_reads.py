@@ -19,7 +19,7 @@ from avatar.camera import Camera, pixel_rays
 from avatar.gltf.avatar_file import Level
 from avatar.light import CaptureLight
 from avatar.rotation import unit_or_zero
-from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
+from avatar.skeleton import JOINT_NUMBERS, LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from avatar.skinning import SkinWeights, blended_transforms, dense_weights
 from bake.cone import ViewCone, clamped_tangent
 from bake.field import NumpyField
@@ -45,8 +45,9 @@ FAR_VIDEO = 0.1
 # share of a video's own joints in a place's skin weights: none of the place's pixels count at the first, all above
 # the first two together
 SHARE_BEGIN, SHARE_RISE = 0.3, 0.5
-# metres above the chin from which the head's video counts fully where poses were estimated
-OVER_CHIN = 0.01
+# metres above the chin from which the head's video counts fully where poses were estimated; where the trunk's were
+# too, metres under the chin down to which it counts fully, and down to which at all
+OVER_CHIN, COLLAR = 0.01, (0.12, 0.2)
 # the joints of a close-up's own part, and those that its poses hold: the forearm is in the hand's video too
 PART_JOINTS = {
     "head": [15],
@@ -58,6 +59,8 @@ HELD_JOINTS = {
     "hand_left": [18, *PART_JOINTS["hand_left"]],
     "hand_right": [19, *PART_JOINTS["hand_right"]],
 }
+# those that move neck and collar: arms hang as they may
+COLLAR_JOINTS = [JOINT_NUMBERS[name] for name in ("head", "neck", "spine3", "left_collar", "right_collar")]
 # bytes from which on the light may have been brighter than shown; shading below which a pixel does not count
 BURNT, DARK = 249, 0.15
 # samples of a pixel, per side: about as far apart as texels are, at most so many
@@ -83,6 +86,8 @@ class AtlasMesh(NamedTuple):
     piece: Integer[Array, "faces"]
     # canonical height of the chin, metres, where poses were estimated
     chin: float | None
+    # whether the head's video has poses of the trunk
+    trunk: bool
 
     @property
     def size(self) -> int:
@@ -168,15 +173,17 @@ def view_change(field: NumpyField, charted: Charted, distilled: Distilled) -> Vi
     return ViewChange(charted.cone, lambda tangent: distilled.residual(features, tangent))
 
 
-def atlas_mesh(level: Level, joints: Float[Array, "52 3"], chin: float | None = None) -> AtlasMesh:
-    """A level ready to be read by pixels; `chin` as `AtlasMesh` has it."""
+def atlas_mesh(
+    level: Level, joints: Float[Array, "52 3"], chin: float | None = None, *, trunk: bool = False
+) -> AtlasMesh:
+    """A level ready to be read by pixels; `chin` and `trunk` as `AtlasMesh` has them."""
     uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
     texels, skin = rasterise_charts(uv, faces, len(level.base_color)), level.skin
     light = None if level.light is None else level.light.astype(np.float64)
     return AtlasMesh(
         level.positions.astype(np.float64), level.normals.astype(np.float64), faces, uv, skin, dense_weights(skin),
         np.asarray(joints, np.float64), texels, texels.nearest_row().reshape(-1), light,
-        pieces_of_faces(level.positions, faces), chin,
+        pieces_of_faces(level.positions, faces), chin, trunk,
     )  # fmt: skip
 
 
@@ -188,14 +195,19 @@ def pieces_of_faces(positions: Float[Array, "corners 3"], faces: Integer[Array, 
 
 
 def posed_frames(mesh: AtlasMesh, video: PartVideo, head_from_canonical: Float[Array, "4 4"]) -> Iterator[PosedFrame]:
-    """The mesh as each frame shows it. The head's video moves rigidly: its cameras are brought to the canonical frame,
-    in metres."""
+    """The mesh as each frame shows it. The head's cameras are brought to the canonical frame, in metres; there the head
+    stands still, and the trunk, where it is known, goes with it."""
     for frame, camera in enumerate(video.cameras):
-        if video.axis_angle is None or video.root is None:
-            camera = moved_camera(camera, head_from_canonical)
+        if video.axis_angle is not None and video.root is not None:
+            transforms = skin_transforms(video.axis_angle[frame], mesh.joints, video.root[frame])
+        else:
+            camera, transforms = moved_camera(camera, head_from_canonical), None
+            if video.trunk is not None:
+                transforms = skin_transforms(video.trunk[frame], mesh.joints, np.zeros(3))
+                transforms = np.linalg.inv(transforms[JOINT_NUMBERS["head"]]) @ transforms
+        if transforms is None:
             vertices, normals, turns = mesh.positions, mesh.normals, None
         else:
-            transforms = skin_transforms(video.axis_angle[frame], mesh.joints, video.root[frame])
             M = blended_transforms(mesh.skin, transforms)
             vertices = np.einsum("vij,vj->vi", M[:, :3, :3], mesh.positions) + M[:, :3, 3]
             normals = unit_or_zero(np.einsum("vij,vj->vi", M[:, :3, :3], mesh.normals))
@@ -227,14 +239,17 @@ def as_base_color(color: Float[Array, "pixels 3"], lit: FrameLight, place: Place
 def vertex_importance(mesh: AtlasMesh, part: str) -> Float[Array, "corners"]:
     """How much a video is believed about each vertex, [0, 1], by what its poses hold and what looks closer.
 
-    Where poses were estimated the head's video shows neck, collar and the ends of hair otherwise bent than they stand,
-    and is not believed about what lies under the chin.
+    Where poses were estimated, and the trunk's in the head's video were not, it shows neck, collar and the ends of hair
+    otherwise bent than they stand, and is not believed about what lies under the chin.
     """
 
     def believed(part: str, joints: dict[str, list[int]]) -> Float[Array, "corners"]:
-        held = np.clip((mesh.share[:, joints[part]].sum(1) - SHARE_BEGIN) / SHARE_RISE, 0, 1)
+        own, (low, high) = joints[part], (0.0, OVER_CHIN)
+        if part == "head" and mesh.trunk:
+            own, (high, low) = COLLAR_JOINTS, np.negative(COLLAR)
+        held = np.clip((mesh.share[:, own].sum(1) - SHARE_BEGIN) / SHARE_RISE, 0, 1)
         if part == "head" and mesh.chin is not None:
-            held *= np.clip((mesh.positions[:, 1] - mesh.chin) / OVER_CHIN, 0, 1)
+            held *= np.clip((mesh.positions[:, 1] - mesh.chin - low) / (high - low), 0, 1)
         return held
 
     if part == "body":
@@ -269,7 +284,10 @@ def video_reads(
     def of_drawn(drawn_frame: tuple[int, PosedFrame, Fragments]) -> PixelReads:
         """What the pixels of a drawn frame read."""
         number, frame, drawn = drawn_frame
-        sure = video.masks[number] if video.unsure is None else video.masks[number] & ~video.unsure[number]
+        sure = video.masks[number]
+        if video.unsure is not None:
+            # what is away from a head is unknown to its mask alone (capture/read/close_up.py)
+            sure = sure | video.unsure[number] if video.trunk is not None else sure & ~video.unsure[number]
         lit = frame_light(mesh, frame, light, world)
         own = frame_reads(mesh, frame, drawn, video.images[number], sure, belief, lit)
         if change is not None:

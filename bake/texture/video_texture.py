@@ -123,7 +123,7 @@ def solve_texture(
     change: ViewChange | None = None,
 ) -> VideoTexture:  # fmt: skip
     """The atlas of a level solved against the videos; see the module."""
-    mesh = atlas_mesh(baked.level, joints, videos.chin)
+    mesh = atlas_mesh(baked.level, joints, videos.chin, trunk=videos.trunk)
     given = (baked.level.base_color.reshape(-1, 3)[mesh.texels.index] / np.float32(255)).astype(np.float32)
     facts: Facts = {}
     found = read_videos(mesh, given, videos, change, facts, report)

@@ -234,6 +234,7 @@ def _with_poses(video: PartVideo, axis_angle: Array | None, root: Array | None, 
     return replace(
         video, images=video.images[kept], masks=video.masks[kept], cameras=tuple(video.cameras[f] for f in kept),
         unsure=None if video.unsure is None else video.unsure[kept], axis_angle=axis_angle, root=root,
+        trunk=None if video.trunk is None else video.trunk[kept],
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.person import person_of
 from capture.fit.points import body_points
 from capture.fit.refusals import check_fit, check_footage, check_upright
+from capture.fit.trunk import trunk_angles
 from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
 from capture.read.template import TemplateMesh, body_template
 from command.errors import AssetError
@@ -118,6 +119,9 @@ def _fit_close_ups(job: _CloseUps, reporter: Reporter) -> _SeenClose:
     try:
         for part, footage in job.footages.items():
             estimate, videos[part] = fit.close_up(part, estimate, footage, job.film)
+            if part == "head" and job.film is not None and job.filmed:
+                trunk = trunk_angles(estimate, footage, job.film.keypoints)
+                videos[part] = replace(videos[part], trunk=trunk)
     except AssetError as error:
         if job.filmed:
             raise

@@ -77,6 +77,8 @@ class FittedVideo:
     root: Float[Array, "frames 3"] | None  # pelvis joint in the world; head: none
     # frames that may be trained on; the others did not fit, and notes say so
     usable: Bool[Array, "frames"]
+    # head: joint angles of the person who goes with the head's bone; None: unknown
+    trunk: Float[Array, "frames 52 3"] | None = None
 
 
 @dataclass(frozen=True)

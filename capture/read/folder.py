@@ -42,6 +42,8 @@ class SourceVideo:
     place: str = ""
     # masks hold shares of the pixel, kept as they are
     soft: bool = False
+    # head, where it is known: joint angles of the person who goes with it
+    trunk: Float[Array, "frames 52 3"] | None = None
 
 
 def write_capture(
@@ -77,6 +79,8 @@ def write_capture(
             write_cameras(folder / part / "cameras.npz", video.cameras)
             if video.axis_angle is None or video.root is None:
                 write_json(folder / part / "landmarks.json", landmarks)
+                if video.trunk is not None:
+                    np.savez(folder / part / "trunk.npz", axis_angle=video.trunk)
                 continue
             write_poses(folder / part / "poses.npz", video.axis_angle, video.root, RATE)
         content = {

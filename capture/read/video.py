@@ -207,7 +207,7 @@ def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: Vide
             tuple(raw.pictures[i] for i in kept),
             tuple(masks / f"{i:06d}.png" for i in kept),
             any_value=False, soft=True, cameras=tuple(fit.cameras[i] for i in kept),
-            axis_angle=pick(fit.axis_angle), root=pick(fit.root), place=str(film),
+            axis_angle=pick(fit.axis_angle), root=pick(fit.root), place=str(film), trunk=pick(fit.trunk),
         )  # fmt: skip
     landmarks = {
         "points": {name: [float(x) for x in point] for name, (point, _) in fitted.landmarks.items()},
