@@ -1,9 +1,9 @@
 """How the person sits under the head in every frame of the head's video: neck and head turn against a trunk that stays
 upright.
 
-The head is held where it was found. Two shoulders, often at the picture's edge, say how the trunk turns and leans to the
-side, but hardly how it leans forward. Who is filmed on a chair that turns leans little, while the head nods: so the
-trunk's axis is the same in all frames. Arms hang.
+The head is held where it was found. Two shoulders, often at the picture's edge, say how the trunk turns and leans to
+the side, but hardly how it leans forward. Who is filmed on a chair that turns leans little, while the head nods: so
+the trunk's axis is the same in all frames. Arms hang.
 """
 
 from dataclasses import replace
@@ -28,9 +28,9 @@ SHOULDERS = tuple(f"{side}_shoulder" for side in SIDES)
 # degrees: the mean pose of neck and head; nods, and what is across them, of single frames
 MEAN, NOD, ACROSS = 4.0, 20.0, 4.0
 # standard deviation of the trunk's axis, degrees
-LEAN = 0.3
+LEAN = 1.0
 # pixels of a picture 1080 high: of the head's own points, which are where they were found
-HELD = 0.3
+HELD = 1.0
 # metres: a detector's shoulder beside ours, which hangs on a template of a body seen from afar
 SHOULDER_OFF = 0.03
 # what an increment of the pelvis' turn adds to its axis, in its own frame: d x y

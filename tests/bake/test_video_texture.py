@@ -14,13 +14,16 @@ from scipy.sparse import csr_matrix
 
 from avatar.camera import Camera, orbit_camera
 from avatar.light import CaptureLight, Lamp
-from avatar.skeleton import PARTS
+from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
+from avatar.skinning import blended_transforms
 from bake.cone import ViewCone, cone_direction
 from bake.level import places_on_finest
 from bake.run_capture import run_videos
 from bake.texture import video_texture
 from bake.texture.fill import NEAR, TexelSurface, filled_colors
 from bake.texture.pixel_reads import (
+    COLLAR,
+    FAR_VIDEO,
     Belief,
     ViewChange,
     atlas_mesh,
@@ -85,7 +88,7 @@ def videos(context, painted):
             np.tile(pose, (8, 1, 1)) if posed else None, np.zeros((8, 3)) if posed else None, None, None,
         )  # fmt: skip
     renderer.release()
-    return FoundVideos(Path(), None, head_from_canonical, {}, False, None, found)
+    return FoundVideos(Path(), None, head_from_canonical, {}, False, None, False, found)
 
 
 @pytest.fixture(scope="module")
@@ -326,6 +329,36 @@ def test_the_heads_video_is_not_believed_under_the_chin_of_estimated_people(pain
     np.testing.assert_array_equal(estimated[height > chin + 0.011], made[height > chin + 0.011])
     # what the head's video does not tell, the body's does
     assert vertex_importance(low, "body")[(height < chin) & (made == 1)].min() == 1
+
+
+def test_neck_and_collar_are_the_heads_videos_where_the_trunk_under_it_is_known(painted):
+    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
+    chin = float(mesh.positions[mesh.share[:, 15] == 1, 1].min())
+    mesh = mesh._replace(chin=chin, trunk=True)
+    importance, under = vertex_importance(mesh, "head"), chin - mesh.positions[:, 1]
+    neck = (mesh.share[:, [9, 12, 13, 14, 15]].sum(1) > 0.99) & (under < COLLAR[0])
+    assert (importance[neck] == 1).all() and (under[neck] > 0.5 * COLLAR[0]).any()
+    assert (importance[under > COLLAR[1]] == 0).all() and (importance[mesh.share[:, [16, 17]].sum(1) > 0.7] == 0).all()
+    np.testing.assert_allclose(vertex_importance(mesh, "body")[neck], FAR_VIDEO)
+
+
+def test_a_trunk_goes_under_the_head_as_it_stood(painted, videos):
+    """Of somebody who bows: the head where its cameras have it, the rest beside it as in the whole pose."""
+    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
+    bow = np.asarray(BIG_POSE, np.float64).copy()
+    bow[[12, 15], 0] = 0.2, 0.3
+    filmed = videos.video("head")
+    stiff = next(posed_frames(mesh, filmed, videos.head_from_canonical))
+    bowed = next(posed_frames(mesh, replace(filmed, trunk=np.tile(bow, (8, 1, 1))), videos.head_from_canonical))
+    transforms = skin_transforms(bow, mesh.joints, np.zeros(3))
+    M = np.linalg.inv(transforms[15]) @ blended_transforms(mesh.skin, transforms)
+    beside = np.einsum("vij,vj->vi", M[:, :3, :3], mesh.positions) + M[:, :3, 3]
+    np.testing.assert_allclose(bowed.vertices, beside, atol=1e-6)
+    still = mesh.share[:, 15] == 1
+    for name in ("vertices", "normals", "along"):
+        np.testing.assert_allclose(getattr(bowed, name)[still], getattr(stiff, name)[still], atol=1e-6)
+    assert np.linalg.norm(bowed.vertices - stiff.vertices, axis=1).max() > 0.1
+    assert bowed.camera.camera_from_world.tolist() == stiff.camera.camera_from_world.tolist()
 
 
 def test_the_chin_of_estimated_people_is_found_with_their_videos(filmed, tmp_path):

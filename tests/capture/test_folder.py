@@ -106,6 +106,10 @@ BAD = {
         ),
         r"at least 6 landmarks, found 5",
     ),
+    "a trunk of two frames": (
+        lambda f: np.savez(f / "head/trunk.npz", axis_angle=np.zeros((2, 52, 3))),
+        r"trunk\.npz: axis_angle should be \(3, 52, 3\), is \(2, 52, 3\)",
+    ),
     "no person in any frame": (_black, r"hand_left/masks: no pixel of any frame shows the person"),
     "no capture": (lambda f: (f / "capture.json").unlink(), r"capture\.json: no such file"),
 }
@@ -137,6 +141,15 @@ def test_frames_left_out_take_their_doubts_along_and_the_folder_is_good(folder):
     np.testing.assert_array_equal(kept.images, one.images[[2]])
     whole = _with_poses(one, one.axis_angle, one.root + 1, np.arange(3))
     assert whole.images is one.images  # all frames: no second copy
+
+
+def test_the_trunk_under_a_head_is_read_where_it_is_known_and_frames_left_out_take_it_along(folder):
+    assert read_capture(folder, parts=("head",)).videos["head"].trunk is None
+    angles = np.random.default_rng(0).normal(size=(3, 52, 3))
+    np.savez(folder / "head" / "trunk.npz", axis_angle=angles)
+    head = read_capture(folder, parts=("head",)).videos["head"]
+    np.testing.assert_array_equal(head.trunk, angles)
+    np.testing.assert_array_equal(_with_poses(head, None, None, np.array([0, 2])).trunk, angles[[0, 2]])
 
 
 @pytest.mark.parametrize("case", BAD)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from avatar.kinematics import pose_rows, posed, shape_rows, skinned
+from avatar.limits import axis_angle_from_joint_angles
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import JOINTS, joint_transforms
+from avatar.skeleton import JOINTS, joint_transforms, skin_transforms
 from avatar.skinning import dense_weights
 from capture.fit import hand, head
 from capture.fit.body import CUTS, MOVING, body_names
@@ -18,10 +19,12 @@ from capture.fit.outline_term import Outlines
 from capture.fit.person import person_of
 from capture.fit.picture import fit_pose
 from capture.fit.points import body_points
-from capture.fit.priors import shared_layout, standing
+from capture.fit.priors import NECK, shared_layout, standing
 from capture.fit.scan import STEPS, template_of
 from capture.fit.solve import assemble, moved, posed_frames, solve
+from capture.fit.trunk import SHOULDERS, trunk_angles
 from capture.keypoints.record import Keypoints
+from capture.raw.outline import HANGING
 from capture.template.eyes import body_sockets
 from tests.turning_twin import in_clothes, pictured, pixels_of, turning_twin
 
@@ -114,6 +117,43 @@ def test_head_is_followed_through_frames_that_show_no_face():
     neck = truth.person.body.joints[head.HEAD]
     x = cameras[0, :3, :3] @ neck + cameras[0, :3, 3]
     np.testing.assert_allclose(x, [0, 0, 0.7], atol=0.01)
+
+
+def nodding(degrees):
+    """A person with hanging arms who turns once on a chair and nods: the truth, a stiff one whose head is where theirs
+    is, its footage, and what a detector sees of the shoulders, half a pixel off."""
+    person, turn = person_of("female"), 2 * np.pi * np.arange(24) / 24
+    angles = np.zeros((24, 52, 3))
+    for joint in ("left_shoulder", "right_shoulder"):
+        angles[:, JOINTS.index(joint), 0] = -HANGING
+    nod = np.radians(degrees) * np.sin(turn)
+    angles[:, JOINTS.index("neck"), 0], angles[:, head.HEAD, 0] = 0.4 * nod, 0.6 * nod
+    heading = matrix_from_axis_angle(turn[:, None] * [0, 1.0, 0])
+    truth = truth_of(person, np.zeros((24, 3)), heading, angles)
+    truth = replace(truth, root=np.array([0, 0, -0.75]) - posed_frames(truth).place[:, head.HEAD])
+    frames, joint = posed_frames(truth), person.body.joints[head.HEAD]
+    turned, place = frames.R[:, head.HEAD], frames.place[:, head.HEAD]
+    stiff = truth_of(person, place - turned @ joint, turned, np.zeros((24, 52, 3)))
+    stiff, footage = shown(stiff, head.NAMES, np.zeros(0, np.int64))
+    seen = pictured(truth, SHOULDERS, np.array(NECK), size=SIZE, focal=700.0).footage
+    pixels = seen.pixels + 0.5 * np.random.default_rng(1).standard_normal(seen.pixels.shape)
+    return truth, stiff, footage, Keypoints(SHOULDERS, pixels, np.full(pixels.shape[:2], 0.9), None)
+
+
+def test_shoulders_are_found_under_a_head_that_nods():
+    truth, stiff, footage, points = nodding(12)
+    found = trunk_angles(stiff, footage, points)
+    true = axis_angle_from_joint_angles(truth.angles)
+    joints, moved_by = truth.person.body.joints, []
+    for angles in (found, true, 0 * true):
+        T = np.stack([skin_transforms(frame, joints, np.zeros(3), rest=np.zeros((52, 3))) for frame in angles])
+        beside = np.linalg.inv(T[:, head.HEAD]) @ T[:, JOINTS.index("spine3")]
+        places = joints[[JOINTS.index(name) for name in SHOULDERS]]
+        moved_by.append(np.einsum("fij,sj->fsi", beside[:, :3, :3], places) + beside[:, None, :3, 3])
+    off, stiff_off = (np.linalg.norm(at - moved_by[1], axis=-1) for at in (moved_by[0], moved_by[2]))
+    assert off.mean() < 0.002 and off.max() < 0.005 < 0.02 < stiff_off.max()
+    # where nobody saw a shoulder nothing is known
+    assert trunk_angles(stiff, footage, replace(points, confidence=0 * points.confidence)) is None
 
 
 def test_long_hair_draws_no_head_down_into_itself():
