@@ -94,6 +94,8 @@ def bake_run(
     """As `bake`, for a run already read; without `videos` the textures are the field's."""
     if videos is None:
         options = replace(options, texture_from="field")
+    elif videos.trunk:
+        options = replace(options, collar_density=options.head_density)
     clock = _Clock(report)
     joints = run.subject.joints
     origin = run_surface(run.surface)

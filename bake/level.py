@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from avatar.gltf.avatar_file import Level
 from avatar.rotation import unit_or_zero
-from avatar.skeleton import BIG_POSE, PARTS, joint_transforms
+from avatar.skeleton import BIG_POSE, JOINT_NUMBERS, PARTS, joint_transforms
 from avatar.texture import bytes_of, mip_levels, mipmaps, sample_texture
 from bake import measure
 from bake.atlas import Unwrapped, unwrap
@@ -31,6 +31,9 @@ from geometry.sample import stratified_samples
 
 # texels whose points are in memory at once
 PIECE = 1 << 18
+# what gets charts of its own: the parts, and what neck and collar bones move of the body
+GROUPS = (*PARTS, "collar")
+NECK_JOINTS = [JOINT_NUMBERS[name] for name in ("neck", "left_collar", "right_collar")]
 
 
 class Charted(NamedTuple):
@@ -123,12 +126,18 @@ def bake_level(
 
     # the middle one of three is the majority's, or between
     face_part = np.sort(data.part[mesh.faces], axis=1)[:, 1]
-    density = np.array([1.0, options.head_density, options.hand_density, options.hand_density])
+    group = face_part
+    if options.collar_density != 1:
+        collar = data.weights[:, NECK_JOINTS].sum(1)[mesh.faces].mean(1) > 0.5
+        group = np.where(collar & (face_part == PARTS.index("body")), GROUPS.index("collar"), face_part)
+    density = np.array(
+        [1.0, options.head_density, options.hand_density, options.hand_density, options.collar_density]
+    )
     # a gutter of 8 texels at 2048 keeps three mips clean; one of 2 at 512 left none for the charts' skirts
     padding = max(4, size // 256)
     # larger charts for the eyes, without a seam round them
     grown = magnified(mesh.vertices, magnifiers(field.details, options))
-    chart = unwrap(grown, mesh.faces, face_part, density, size=size, padding=padding)
+    chart = unwrap(grown, mesh.faces, group, density, size=size, padding=padding)
     cone = data.cone.of(chart.source)
     joints, weights = quantised(data.weights[chart.source])
     charted = Charted(chart.uv, chart.faces, mesh.vertices[chart.source], normals[chart.source], cone)
@@ -141,7 +150,7 @@ def bake_level(
         view_q=single(cone.metric), view_seen=single(cone.seen), base_color=np.zeros((size, size, 3), np.uint8),
         features=None, light=light,
     )  # fmt: skip
-    facts = level_facts(level, surface, face_part, chart)
+    facts = level_facts(level, surface, group, chart)
     edges = chart_edges(chart.uv, chart.faces, chart.source)
     return BakedLevel(level, charted, edges, {**facts, "weights_filled": data.filled})
 
@@ -278,18 +287,19 @@ def lifted(
     return moved, ((moved - points) * facing).sum(1)
 
 
-def level_facts(level: Level, surface: LayeredMesh, face_part: Integer[Array, "faces"], chart: Unwrapped) -> Facts:
+def level_facts(level: Level, surface: LayeredMesh, group: Integer[Array, "faces"], chart: Unwrapped) -> Facts:
     """What the file's provenance says of a level; `surface` is its mesh before the atlas split vertices.
 
-    Sides of squares as large as a part's mean triangle and as one of its texels are in mm.
+    `group` of GROUPS has each triangle. Sides of squares as large as a group's mean triangle and as one of its texels
+    are in mm.
     """
     size, mesh = len(level.base_color), surface.mesh
     away = measure.field_to_mesh(surface.away, mesh)
     fault = find_faults(mesh.faces, len(mesh.vertices))
     covered, areas = atlas_areas(chart.uv[chart.faces] * size), face_areas(mesh.vertices, mesh.faces)
     triangle, texel = {}, {}
-    for number in np.unique(face_part):
-        own, name = face_part == number, PARTS[int(number)]
+    for number in np.unique(group):
+        own, name = group == number, GROUPS[int(number)]
         # in an order of their own, which chart.face_part follows
         texels = max(covered[chart.face_part == number].sum(), 1e-9)
         triangle[name] = rounded(1e3 * float(np.sqrt(areas[own].mean())))
@@ -303,7 +313,7 @@ def level_facts(level: Level, surface: LayeredMesh, face_part: Integer[Array, "f
         "open_edges": fault.open_edges,
         "non_manifold_edges": fault.crowded_edges,
         "faces": len(mesh.faces),
-        "faces_by_part": {name: int((face_part == number).sum()) for number, name in enumerate(PARTS)},
+        "faces_by_part": {name: int((group == number).sum()) for number, name in enumerate(GROUPS)},
         "texel_mm_by_part": texel,
         "triangle_mm_by_part": triangle,
     }

@@ -27,6 +27,7 @@ class BakeOptions:
     fine_step: Annotated[float, Hidden(), "the same along the spans of head and hands, metres"] = 0.0025
     head_density: Annotated[float, Hidden(), "texels per metre, relative to the body's"] = 2.5
     hand_density: Annotated[float, Hidden(), "texels per metre, relative to the body's"] = 2.5
+    collar_density: Annotated[float, Hidden(), "of neck and collar; the head's where its video shows them"] = 1.0
     head_scale: Annotated[float, Hidden(), "blown up so much while triangles are collapsed"] = 1.8
     hand_scale: Annotated[float, Hidden(), "blown up so much while triangles are collapsed"] = 2.4
     eye_scale: Annotated[float, Hidden(), "the same, and texels per metre relative to the head's"] = 2.2

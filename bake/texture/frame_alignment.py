@@ -25,8 +25,19 @@ STAY = 1e-4
 # blur of both pictures in turn, pixels at least and shares of the window: what is farther off than that is not found;
 # steps at each
 BLURS, STEPS = ((3.0, 0.25), (1.0, 0.08)), 2
+# pixels of a blur that are one of the picture it is done in
+COARSE = 1.5
 # where a window's tails are cut, in standard deviations
 TAIL = 2.5
+
+
+class Window(NamedTuple):
+    """What moves as one, in pixels of a picture that may be k x k of the video's."""
+
+    wide: float  # standard deviation
+    farthest: float
+    blur: float
+    stay: float  # STAY, times k x k
 
 
 class ShownVideo(NamedTuple):
@@ -82,25 +93,42 @@ def frame_shift(
     `drawn` and `frame` hold colors, [0, 1], where `known`; `window` moves as one, by `farthest` at most, pixels.
     """
     shift = np.zeros((*known.shape, 2))
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in known.shape), indexing="ij"), -1).astype(np.float64)
     for least, share in BLURS:
         blur = max(least, share * window)
-        model, inside = _blurred(drawn, known, blur), gaussian_filter(known.astype(np.float64), blur)
-        ours = _blurred(frame, known, blur)
-        down, across = np.gradient(ours, axis=(0, 1))
-        sure = np.where(inside > 0.9, 1.0, 0.0) * known
-        for _ in range(STEPS):
-            places = grid + shift
-            there = _read(np.concatenate([ours, down, across, sure[..., None]], -1), places)
-            left = model - there[..., :3]
-            gy, gx, weight = there[..., 3:6], there[..., 6:9], there[..., 9] * sure
-            sums = [(a * b).sum(-1) * weight for a, b in ((gy, gy), (gy, gx), (gx, gx), (gy, left), (gx, left))]
-            yy, yx, xx, yl, xl = (gaussian_filter(one, window, truncate=TAIL) for one in sums)
-            yy, xx = yy + STAY, xx + STAY
-            determinant = yy * xx - yx * yx
-            shift += np.stack([(xx * yl - yx * xl) / determinant, (yy * xl - yx * yl) / determinant], -1)
-            length = np.linalg.norm(shift, axis=-1, keepdims=True)
-            shift *= np.minimum(1, farthest / np.maximum(length, 1e-9))
+        k = max(int(blur / COARSE), 1)
+        part = shrunk(known[..., None].astype(np.float64), k)
+        model, ours = (shrunk(np.where(known[..., None], one, 0), k) / np.maximum(part, 1e-6) for one in (drawn, frame))
+        fewer = Window(window / k, farthest / k, blur / k, STAY * k**2)
+        shift = k * grown(shifted(model, ours, part[..., 0] > 0.5, shrunk(shift, k) / k, fewer), k, known.shape)
+    return shift
+
+
+def shifted(
+    drawn: Float[Array, "height width 3"], frame: Float[Array, "height width 3"], known: Bool[Array, "height width"],
+    shift: Float[Array, "height width 2"], window: Window,
+) -> Float[Array, "height width 2"]:  # fmt: skip
+    """`frame_shift` from a first guess, of both pictures blurred."""
+    blur = window.blur
+    model, inside = _blurred(drawn, known, blur), gaussian_filter(known.astype(np.float64), blur)
+    ours = _blurred(frame, known, blur)
+    down, across = np.gradient(ours, axis=(0, 1))
+    sure = np.where(inside > 0.9, 1.0, 0.0) * known
+    read = np.concatenate([ours, down, across, sure[..., None]], -1)
+    # the rest of the picture counts nothing
+    where = np.nonzero(sure)
+    for _ in range(STEPS):
+        there = _read(read, np.stack(where, -1) + shift[where])
+        left = model[where] - there[:, :3]
+        gy, gx, weight = there[:, 3:6], there[:, 6:9], there[:, 9]
+        sums = np.zeros((5, *known.shape))
+        for i, (a, b) in enumerate(((gy, gy), (gy, gx), (gx, gx), (gy, left), (gx, left))):
+            sums[i][where] = (a * b).sum(-1) * weight
+        yy, yx, xx, yl, xl = (gaussian_filter(one, window.wide, truncate=TAIL) for one in sums)
+        yy, xx = yy + window.stay, xx + window.stay
+        determinant = yy * xx - yx * yx
+        shift = shift + np.stack([(xx * yl - yx * xl) / determinant, (yy * xl - yx * yl) / determinant], -1)
+        length = np.linalg.norm(shift, axis=-1, keepdims=True)
+        shift *= np.minimum(1, window.farthest / np.maximum(length, 1e-9))
     return shift
 
 
@@ -108,9 +136,31 @@ def moved_colors(
     frame: Float[Array, "height width 3"], known: Bool[Array, "height width"], shift: Float[Array, "height width 2"]
 ) -> tuple[Float[Array, "height width 3"], Bool[Array, "height width"]]:
     """The frame's colors beside each pixel, and where all of what they are read from is known."""
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in known.shape), indexing="ij"), -1) + shift
-    found = _read(np.concatenate([frame, known[..., None].astype(np.float64)], -1), grid)
-    return found[..., :3], known & (found[..., 3] > 0.999)
+    where = np.nonzero(known)
+    read = np.concatenate([frame, known[..., None].astype(np.float64)], -1)
+    found, colors, whole = _read(read, np.stack(where, -1) + shift[where]), np.zeros_like(frame), np.zeros_like(known)
+    colors[where], whole[where] = found[:, :3], found[:, 3] > 0.999
+    return colors, whole
+
+
+def shrunk(image: Float[Array, "height width channels"], k: int) -> Float[Array, "rows columns channels"]:
+    """The mean of each k x k pixels, at the ends of those that are left."""
+    if k == 1:
+        return image
+    for axis in range(2):
+        starts = np.arange(0, image.shape[axis], k)
+        count = np.minimum(image.shape[axis] - starts, k).reshape([-1 if i == axis else 1 for i in range(3)])
+        image = np.add.reduceat(image, starts, axis) / count
+    return image
+
+
+def grown(image: Float[Array, "rows columns channels"], k: int, shape: tuple[int, ...]) -> Array:
+    """Pixels of k x k read bilinearly for each of `shape` rows and columns."""
+    if k == 1:
+        return image
+    places = np.stack(np.meshgrid(*((np.arange(n) + 0.5) / k - 0.5 for n in shape), indexing="ij"), -1)
+    at = np.moveaxis(places, -1, 0)
+    return np.stack([map_coordinates(image[..., c], at, order=1, mode="nearest") for c in range(image.shape[-1])], -1)
 
 
 def _blurred(
@@ -120,7 +170,9 @@ def _blurred(
     return gaussian_filter(np.where(known[..., None], image, 0.0), (blur, blur, 0)) / share[..., None]
 
 
-def _read(image: Float[Array, "height width channels"], places: Float[Array, "height width 2"]) -> Array:
+def _read(
+    image: Float[Array, "height width channels"], places: Float[Array, "places 2"]
+) -> Float[Array, "places channels"]:
     """Bilinear reads at (row, column); 0 outside."""
     at = np.moveaxis(places, -1, 0)
     return np.stack([map_coordinates(image[..., c], at, order=1) for c in range(image.shape[-1])], -1)

@@ -34,8 +34,9 @@ from player.draw.raster import Fragments, Rasteriser
 
 # cosine between normal and view under which a pixel says nothing
 GRAZING = 0.17
-# power of that cosine in a pixel's weight: a head turns before its camera and is seen well by other frames
-COSINE_POWER = {"body": 2, "head": 8, "hand_left": 2, "hand_right": 2}
+# power of that cosine, over the largest of all frames, in a pixel's weight: a head turns before its camera and is seen
+# well by other frames. A place that no frame sees at a larger one than SLANTED is not believed for that
+SLANTED, COSINE_POWER = 0.5, {"body": 2, "head": 8, "hand_left": 2, "hand_right": 2}
 # weight under which a pixel is not worth its memory
 LEAST_WEIGHT = 1e-3
 # metres beside an outline or a jump in depth of JUMP metres, where pixels count RIM as much
@@ -135,7 +136,10 @@ class Belief(NamedTuple):
     """How much the pixels of a video count."""
 
     importance: Float[Array, "corners"]  # [0, 1], about each vertex
-    power: int  # that of the cosine between normal and view
+    # largest cosine between normal and view, and the power of a frame's beside it: what is only seen at a slant is
+    # believed to those who see it best
+    best: Float[Array, "corners"]
+    power: int
 
 
 class FrameLight(NamedTuple):
@@ -277,7 +281,9 @@ def video_reads(
 
     `light` is divided out of them, and what they show because of where they were seen from (`change`) taken off.
     """
-    belief = Belief(vertex_importance(mesh, video.part), COSINE_POWER[video.part])
+    frames = islice(posed_frames(mesh, video, head_from_canonical), 0, None, 2)
+    best = np.max([frame.cosine for frame in frames], 0).clip(SLANTED, 1)
+    belief = Belief(vertex_importance(mesh, video.part), best, COSINE_POWER[video.part])
     turn = head_from_canonical[:3, :3] / np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
     world = turn if video.axis_angle is None else np.eye(3)
 
@@ -339,10 +345,10 @@ def frame_reads(
     face = drawn.face.reshape(-1)[place]
     weight = drawn.barycentric.reshape(-1, 3)[place]
     corners = mesh.faces[face]
-    values = np.stack([frame.cosine, belief.importance], 1).astype(np.float32)
-    cosine, important = blended(values, corners, weight).mean(1).T
+    values = np.stack([frame.cosine, belief.importance, belief.best], 1).astype(np.float32)
+    cosine, important, best = blended(values, corners, weight).mean(1).T
     visible = important * (cosine > GRAZING) * np.where(_near_rim(frame, drawn, hit, sure)[whole], RIM, 1.0)
-    counts = visible * cosine**belief.power
+    counts = visible * best**2 * (np.maximum(cosine, 0) / best) ** belief.power
     if lit is not None:
         # a burnt pixel may have been brighter, and what no light reached shows no color
         known = (image[rows, columns].max(1) < BURNT) & (blended(lit.frame, corners, weight).mean(1)[:, 0] > DARK)
@@ -400,6 +406,7 @@ def samples_for(pixel: float, texel: float) -> int:
 
 
 def part_of_corners(mesh: AtlasMesh) -> Integer[Array, "corners"]:
-    """The part of each vertex by its skin weights, index into PARTS."""
+    """The part of each vertex by its skin weights, and what the head's video shows of the trunk; index into PARTS."""
     sums = [mesh.share[:, PART_JOINTS[part]].sum(1) for part in PARTS[1:]]
-    return np.where(np.max(sums, axis=0) > 0.5, np.argmax(sums, axis=0) + 1, 0)
+    found = np.where(np.max(sums, axis=0) > 0.5, np.argmax(sums, axis=0) + 1, 0)
+    return np.where(mesh.trunk & (vertex_importance(mesh, "head") > 0.5), PARTS.index("head"), found)

@@ -55,9 +55,8 @@ FINEST_PIXEL = 1.3
 # lambda of a texel as wide as a pixel and its growth with the texel's share of a pixel: many small texels under one
 # pixel divide what it shows. mu over lambda.
 STAY, STAY_POWER, SMOOTH = 0.06, 1.5, 4.0
-# mu over lambda where color follows the eye or poses were estimated: frames then disagree, and the grids of their
-# pixels would show as ribs
-SMOOTH_UNSURE = 16.0
+# mu over lambda where color follows the eye: frames then disagree, and the grids of their pixels would show as ribs
+SMOOTH_SHINE = 16.0
 # weight of a point on a chart edge looking the same from both sides
 AGREE = 1.0
 # share of the head from which a place is the head's alone, when what no video saw is filled
@@ -129,7 +128,7 @@ def solve_texture(
     found = read_videos(mesh, given, videos, change, facts, report)
     seams = seam_equations(mesh, baked, given)
     stay = STAY * (found.texel / found.pixel[found.part]) ** STAY_POWER
-    smooth = SMOOTH if change is None and not videos.estimated else SMOOTH_UNSURE
+    smooth = SMOOTH if change is None else SMOOTH_SHINE
     prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
     equations, belief = found.equations, [np.ones(1, np.float32)] * len(PARTS)
     if videos.estimated:

@@ -152,8 +152,8 @@ def test_pixels_read_what_the_player_draws(rasteriser, painted, videos):
     true = painted.levels[0].base_color.reshape(-1, 3)[mesh.texels.index] / 255
     video = videos.video("body")
     frame = next(posed_frames(mesh, video, videos.head_from_canonical))
-    drawn = drawn_finer(rasteriser, mesh, frame, 3)
-    reads = frame_reads(mesh, frame, drawn, video.images[0], video.masks[0], Belief(np.ones(len(mesh.positions)), 2))
+    drawn, ones = drawn_finer(rasteriser, mesh, frame, 3), np.ones(len(mesh.positions))
+    reads = frame_reads(mesh, frame, drawn, video.images[0], video.masks[0], Belief(ones, ones, 2))
     np.testing.assert_allclose(np.asarray(reads.reads.sum(1)).ravel(), 1, atol=1e-5)
     assert len(reads.color) > 300
     assert np.median(np.abs(reads.reads @ true - reads.color)) < 0.02
@@ -169,10 +169,10 @@ def test_outlines_hardly_count(rasteriser, painted, videos):
     frame = next(posed_frames(mesh, video, videos.head_from_canonical))
     drawn = drawn_finer(rasteriser, mesh, frame, 2)
     ones = np.ones(len(mesh.positions))
-    whole = frame_reads(mesh, frame, drawn, video.images[0], video.masks[0], Belief(ones, 0))
+    whole = frame_reads(mesh, frame, drawn, video.images[0], video.masks[0], Belief(ones, ones, 0))
     cut = video.masks[0].copy()
     cut[:, SIZE[0] // 2 :] = False
-    half = frame_reads(mesh, frame, drawn, video.images[0], cut, Belief(ones, 0))
+    half = frame_reads(mesh, frame, drawn, video.images[0], cut, Belief(ones, ones, 0))
     assert 0.3 < len(half.weight) / len(whole.weight) < 0.7
     assert (half.weight < 0.06).sum() > 10 and (whole.weight > 0.9).sum() > 100
 
@@ -196,7 +196,7 @@ def test_the_light_of_a_frame_is_divided_out(rasteriser, painted, videos, still)
     image[hit] = np.round(255 * light.shown(np.tile(albedo, (len(corners), 1)), shading, highlight))
     assert np.ptp(image[hit][:, 0].astype(int)) > 40
     ones = np.ones(len(mesh.positions))
-    reads = frame_reads(mesh, frame, drawn, image, hit, Belief(ones, 2), lit)
+    reads = frame_reads(mesh, frame, drawn, image, hit, Belief(ones, ones, 2), lit)
     expected = light.shown(albedo[None], np.array([1.1]), np.array([0.02]))[0]
     np.testing.assert_allclose(reads.color, np.tile(expected, (len(reads.color), 1)), atol=4 / 255)
     # without lights in the level nothing is divided
