@@ -130,9 +130,7 @@ def bake_level(
     if options.collar_density != 1:
         collar = data.weights[:, NECK_JOINTS].sum(1)[mesh.faces].mean(1) > 0.5
         group = np.where(collar & (face_part == PARTS.index("body")), GROUPS.index("collar"), face_part)
-    density = np.array(
-        [1.0, options.head_density, options.hand_density, options.hand_density, options.collar_density]
-    )
+    density = np.array([1.0, options.head_density, options.hand_density, options.hand_density, options.collar_density])
     # a gutter of 8 texels at 2048 keeps three mips clean; one of 2 at 512 left none for the charts' skirts
     padding = max(4, size // 256)
     # larger charts for the eyes, without a seam round them
