@@ -191,8 +191,19 @@ def clicking(wanted: MakeCommand) -> tuple[Path, Stage] | None:
     return body, Stage("your joints, clicked by you", product, run, 5.0)
 
 
+def megapixels(films: Sequence[Path]) -> float:
+    """Millions of pixels of a picture of the largest film."""
+    from capture.raw.four_videos import find_videos
+    from capture.raw.video_file import open_video
+
+    sizes = [open_video(film).size for film in find_videos(films).values()]
+    return max(width * height for width, height in sizes) / 1e6
+
+
 def make_stages(wanted: MakeCommand) -> list[Stage]:
-    """The commands, in order, and how many minutes each takes on two quiet cores."""
+    """The commands, in order, and how many minutes each takes on two quiet cores, as measured with films of 400 and 720
+    pixels."""
+    large = megapixels(wanted.films)
     work, began, clicked = wanted.work, time.monotonic(), clicking(wanted)
     capture, first, run_folder = work / "capture", work / "first", work / f"fields_{wanted.minutes}"
     better = work / "better.glb"
@@ -215,13 +226,13 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
     read = ["selfscan", "import", "video", *films, "-o", capture, *words_of(wanted.reading), *points]
     stages = [
         *([clicked[1]] if clicked else []),
-        Stage("read the films and fit the person", capture / "capture.json", command(*read), 1.7),
+        Stage("read the films and fit the person", capture / "capture.json", command(*read), 0.9 + 1.7 * large),
         Stage("the template in the films' colors", first / "run.json",
-              command("selfscan", "train", capture, "-o", first, "--preset", "preview"), 1.3),
-        bake("first avatar", first, work / "first.glb", 1.3, "--texture", FIRST),
+              command("selfscan", "train", capture, "-o", first, "--preset", "preview"), 1.2),
+        bake("first avatar", first, work / "first.glb", 0.8 + 1.6 * large, "--texture", FIRST),
     ]  # fmt: skip
     if wanted.minutes != "4":
-        stages.append(bake("finer textures", first, better, 2.2))
+        stages.append(bake("finer textures", first, better, 1.6 + 2.5 * large))
     if wanted.minutes in ("15", "60"):
         resume = ["--resume"] if run_folder.with_name(run_folder.name + ".partial").exists() else []
         short = ["--iterations", SHORT] if wanted.minutes == "15" else []
