@@ -23,6 +23,7 @@ from bake.face.template import FaceRefused, person_face
 from bake.field import NumpyField, numpy_field, one_thread
 from bake.layers import SurfaceLayer, collapsed, extract_layers, layered_data, layers_of
 from bake.level import (
+    NECK_JOINTS,
     BakedLevel,
     Charted,
     FieldTexels,
@@ -134,7 +135,7 @@ def bake_run(
             change = view_change(field, levels[0].charted, distilled)
             levels, facts["videos"] = with_video_textures(levels, baked.places, joints, videos, clock.report, change)
             avatar = replace(avatar, levels=tuple(level.level for level in levels))
-            facts["unseen"] = unseen_lines(run, origin)
+            facts["unseen"] = unseen_lines(run, origin, collar=videos.trunk)
             for line in facts["unseen"]:
                 clock.report(f"  {line}")
         facts["against_field"] = field_facts(comparing.result(), options, clock)
@@ -191,12 +192,15 @@ def extracted(run: BakeSource, origin: SourceSurface, options: BakeOptions, cloc
     return Extracted(asked, layers, extraction, given_up)
 
 
-def unseen_lines(run: BakeSource, surface: SourceSurface) -> list[str]:
-    """What hardly any frame shows of the surface, but what loose clothes hide."""
-    in_sight, behind = None, run.subject.behind_cloth
+def unseen_lines(run: BakeSource, surface: SourceSurface, *, collar: bool) -> list[str]:
+    """What hardly any frame shows of the surface, but what loose clothes hide, and neck and `collar` where the head's
+    video shows them too."""
+    in_sight, behind = np.ones(len(surface.faces), bool), run.subject.behind_cloth
     if behind is not None:
         nearest = KDTree(run.subject.vertices).query(surface.vertices, workers=-1)[1]
         in_sight = ~behind[nearest][surface.faces].all(1)
+    if collar:
+        in_sight &= surface.weights[:, NECK_JOINTS].sum(1)[surface.faces].mean(1) < 0.5
     found = unseen_places(surface.vertices, surface.faces, run.surface.skin, run.surface.view_count, in_sight)
     return [place.line() for place in found]
 

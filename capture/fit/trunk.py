@@ -19,6 +19,7 @@ from capture.fit.body import CUTS, FIRST
 from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.keypoint_term import projected
 from capture.fit.priors import FROZEN, NECK, Priors
+from capture.fit.refusals import MISFIT, misfits
 from capture.fit.solve import posed_frames, solve
 from capture.keypoints.record import SIDES, Keypoints
 from capture.raw.outline import HANGING
@@ -38,7 +39,8 @@ TILT = np.array([[0.0, 0, -1], [0, 0, 0], [1, 0, 0]])
 
 
 def trunk_angles(head: Estimate, footage: Footage, keypoints: Keypoints) -> Float[Array, "frames 52 3"] | None:
-    """Joint angles (axis-angle) of a person whose head `footage` was fitted to; None where no shoulder was seen."""
+    """Joint angles (axis-angle) of a person whose head `footage` was fitted to; None where no shoulder was seen, or
+    they are where no trunk under that head has them."""
     focal = footage.focal * float(np.exp(head.log_focal))
     shoulders = footage_of(keypoints, footage.masks, SHOULDERS, np.array(NECK), focal=focal, focal_sigma=FROZEN)
     if not shoulders.sure.any():
@@ -59,7 +61,8 @@ def trunk_angles(head: Estimate, footage: Footage, keypoints: Keypoints) -> Floa
     )  # fmt: skip
     off = np.repeat((FROZEN, SHOULDER_OFF), (len(footage.names), len(shoulders.names)))
     fitted = solve(start, seen, seated(start, off), cuts=(FIRST, *CUTS), rounds=12, terms=(upright,))
-    return axis_angle_from_joint_angles(fitted.angles)
+    away = (misfits(fitted, seen) * seen.sure)[:, len(footage.names) :]
+    return axis_angle_from_joint_angles(fitted.angles) if np.nanmedian(away) <= MISFIT else None
 
 
 def seated(start: Estimate, bias: Float[Array, "points"]) -> Priors:

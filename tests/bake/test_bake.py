@@ -7,7 +7,8 @@ import torch
 
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
-from bake.bake import BakeOptions, _Clock, bake_run, broken_parts, extracted, level_plan, run_surface
+from avatar.skinning import SkinWeights
+from bake.bake import BakeOptions, _Clock, bake_run, broken_parts, extracted, level_plan, run_surface, unseen_lines
 from bake.promises import missed_promises
 from command.errors import AssetError
 from geometry.repair import find_faults
@@ -109,6 +110,16 @@ def facts_with(paper_db=41.0, steps=(1.0, 2.0), view_db=40.0):
     level = {"seam_step": {"mips": mips}, "texel_mm_by_part": {"body": 2.0}}
     against = {"paper_db": paper_db, "per_view_db": {"t body": view_db, "t head": None}}
     return {"against_field": against, "levels": [level], "texture_from": "field"}
+
+
+def test_a_neck_that_the_heads_video_shows_is_not_said_to_be_unseen(run):
+    """A surface that is all neck, and that no frame shows."""
+    count = len(run.surface.vertices)
+    skin = SkinWeights(np.tile([12, 0, 0, 0], (count, 1)), np.tile(np.float32([1, 0, 0, 0]), (count, 1)))
+    neck = replace(run, surface=replace(run.surface, skin=skin, view_count=np.zeros_like(run.surface.view_count)))
+    surface = run_surface(neck.surface)
+    without, shown = (" ".join(unseen_lines(neck, surface, collar=collar)) for collar in (False, True))
+    assert "the neck" in without and shown == ""
 
 
 def test_each_promise_missed_is_one_line_with_what_to_do():

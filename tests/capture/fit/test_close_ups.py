@@ -152,8 +152,10 @@ def test_shoulders_are_found_under_a_head_that_nods():
         moved_by.append(np.einsum("fij,sj->fsi", beside[:, :3, :3], places) + beside[:, None, :3, 3])
     off, stiff_off = (np.linalg.norm(at - moved_by[1], axis=-1) for at in (moved_by[0], moved_by[2]))
     assert off.mean() < 0.002 and off.max() < 0.005 < 0.02 < stiff_off.max()
-    # where nobody saw a shoulder nothing is known
+    # where nobody saw a shoulder nothing is known, nor where they are somebody else's
     assert trunk_angles(stiff, footage, replace(points, confidence=0 * points.confidence)) is None
+    wild = points.pixels + 80 * np.random.default_rng(2).standard_normal(points.pixels.shape)
+    assert trunk_angles(stiff, footage, replace(points, pixels=wild)) is None
 
 
 def test_long_hair_draws_no_head_down_into_itself():
