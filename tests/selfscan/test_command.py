@@ -24,7 +24,9 @@ from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.gltf.write import GltfBuilder
 from avatar.skeleton import PARTS
 from capture.raw import filming
+from capture.raw.video_file import open_video
 from capture.raw.webcam import Webcam
+from capture.read.command import FilmOptions
 from command.errors import AssetError
 from command.interrupt import Stopped, deferred_stop
 from files.whole import whole_file
@@ -154,7 +156,9 @@ FILMS = ("body.mp4", "head.mp4", "left.mp4", "right.mp4")
 
 
 @pytest.fixture
-def films(tmp_path):
+def films(tmp_path, monkeypatch):
+    """Four files that are no films."""
+    monkeypatch.setattr(make, "megapixels", lambda films: 0.3)
     folder = tmp_path / "me"
     folder.mkdir()
     for name in FILMS:
@@ -178,6 +182,17 @@ def product(words):
         return
     out.mkdir()
     (out / ("run.json" if words[1] == "train" else "capture.json")).write_text("{}")
+
+
+def test_larger_films_are_said_to_take_longer(filmed_four, tmp_path, monkeypatch):
+    wanted = make.MakeCommand(tmp_path / "me.glb", FilmOptions(), (filmed_four,))
+    width, height = open_video(filmed_four / "body.mp4").size
+    assert make.megapixels(wanted.films) == pytest.approx(width * height / 1e6)
+    told = []
+    for large in (0.3, 2.1):
+        monkeypatch.setattr(make, "megapixels", lambda films, large=large: large)
+        told.append([stage.minutes for stage in make.make_stages(wanted)])
+    assert (np.array(told[1]) >= told[0]).all() and sum(told[1]) > 2 * sum(told[0])
 
 
 def test_a_first_avatar_stands_where_the_better_one_will(films, ran, tmp_path, capsys):
