@@ -31,7 +31,7 @@ COARSE = 1.5
 TAIL = 2.5
 
 
-class Window(NamedTuple):
+class ShiftWindow(NamedTuple):
     """What moves as one, in pixels of a picture that may be k x k of the video's."""
 
     wide: float  # standard deviation
@@ -98,14 +98,14 @@ def frame_shift(
         k = max(int(blur / COARSE), 1)
         part = shrunk(known[..., None].astype(np.float64), k)
         model, ours = (shrunk(np.where(known[..., None], one, 0), k) / np.maximum(part, 1e-6) for one in (drawn, frame))
-        fewer = Window(window / k, farthest / k, blur / k, STAY * k**2)
+        fewer = ShiftWindow(window / k, farthest / k, blur / k, STAY * k**2)
         shift = k * grown(shifted(model, ours, part[..., 0] > 0.5, shrunk(shift, k) / k, fewer), k, known.shape)
     return shift
 
 
 def shifted(
     drawn: Float[Array, "height width 3"], frame: Float[Array, "height width 3"], known: Bool[Array, "height width"],
-    shift: Float[Array, "height width 2"], window: Window,
+    shift: Float[Array, "height width 2"], window: ShiftWindow,
 ) -> Float[Array, "height width 2"]:  # fmt: skip
     """`frame_shift` from a first guess, of both pictures blurred."""
     blur = window.blur
