@@ -34,9 +34,9 @@ from player.draw.raster import Fragments, Rasteriser
 
 # cosine between normal and view under which a pixel says nothing
 GRAZING = 0.17
-# power of that cosine, over the largest of all frames, in a pixel's weight: a head turns before its camera and is seen
-# well by other frames. A place that no frame sees at a larger one than SLANTED is not believed for that
-SLANTED, COSINE_POWER = 0.5, {"body": 2, "head": 8, "hand_left": 2, "hand_right": 2}
+# power of that cosine in a pixel's weight: a head turns before its camera and is seen well by other frames. There the
+# cosine counts beside the largest of all frames, SLANTED at least: shoulders are only seen at a slant
+COSINE_POWER, SLANTED = {"body": 2, "head": 8, "hand_left": 2, "hand_right": 2}, 0.5
 # weight under which a pixel is not worth its memory
 LEAST_WEIGHT = 1e-3
 # metres beside an outline or a jump in depth of JUMP metres, where pixels count RIM as much
@@ -136,8 +136,7 @@ class Belief(NamedTuple):
     """How much the pixels of a video count."""
 
     importance: Float[Array, "corners"]  # [0, 1], about each vertex
-    # largest cosine between normal and view, and the power of a frame's beside it: what is only seen at a slant is
-    # believed to those who see it best
+    # cosine c between normal and view of the frame that sees a vertex best; one of x counts c^2 (x / c)^power
     best: Float[Array, "corners"]
     power: int
 
@@ -281,9 +280,12 @@ def video_reads(
 
     `light` is divided out of them, and what they show because of where they were seen from (`change`) taken off.
     """
-    frames = islice(posed_frames(mesh, video, head_from_canonical), 0, None, 2)
-    best = np.max([frame.cosine for frame in frames], 0).clip(SLANTED, 1)
-    belief = Belief(vertex_importance(mesh, video.part), best, COSINE_POWER[video.part])
+    power, best = COSINE_POWER[video.part], np.ones(len(mesh.positions))
+    if power > 2:
+        # every other frame tells it well enough
+        frames = islice(posed_frames(mesh, video, head_from_canonical), 0, None, 2)
+        best = np.max([frame.cosine for frame in frames], 0).clip(SLANTED, 1)
+    belief = Belief(vertex_importance(mesh, video.part), best, power)
     turn = head_from_canonical[:3, :3] / np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
     world = turn if video.axis_angle is None else np.eye(3)
 

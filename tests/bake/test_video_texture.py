@@ -2,28 +2,21 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from charted_ball import line
-from filmed_part import FoundVideos
 from painted_capture import write_capture
-from scipy.ndimage import gaussian_filter
 from scipy.sparse import csr_matrix
 
-from avatar.camera import Camera, orbit_camera
 from avatar.light import CaptureLight, Lamp
-from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
-from avatar.skinning import blended_transforms
+from avatar.skeleton import PARTS
 from bake.cone import ViewCone, cone_direction
 from bake.level import places_on_finest
 from bake.run_capture import run_videos
 from bake.texture import video_texture
 from bake.texture.fill import NEAR, TexelSurface, filled_colors
 from bake.texture.pixel_reads import (
-    COLLAR,
-    FAR_VIDEO,
     Belief,
     ViewChange,
     atlas_mesh,
@@ -32,63 +25,17 @@ from bake.texture.pixel_reads import (
     frame_reads,
     pieces_of_faces,
     posed_frames,
-    vertex_importance,
 )
 from bake.texture.texels import neighbour_pairs
 from bake.texture.texture_solve import Equations, Prior, shown_range, solve_change, within_shown
 from bake.texture.video_texture import averaged, averaging, doubted, solve_texture, strange_on_hair
-from capture.folder import PartVideo, read_capture
+from capture.folder import read_capture
 from command.errors import AssetError
 from experiments.texture import level_of_file
 from geometry.mesh import TriangleMesh
-from player.scene.mannequin import mannequin
-from player.scene.renderer import Renderer
 from train.session import capture_place
 
 SIZE = (96, 96)
-
-
-@pytest.fixture(scope="module")
-def painted():
-    """The mannequin with colors that vary over centimetres."""
-    avatar = mannequin()
-    noise = np.random.default_rng(0).normal(size=(256, 256, 3))
-    smooth = gaussian_filter(noise, (3, 3, 0), mode="wrap")
-    image = np.clip(0.5 + 0.2 * smooth / smooth.std(), 0, 1)
-    level = replace(avatar.levels[0], base_color=np.uint8(255 * image))
-    return replace(avatar, levels=(level,), network=None, linear=None, default_view="off")
-
-
-@pytest.fixture(scope="module")
-def videos(context, painted):
-    """Turning videos of the body and of the head, which is filmed in a frame of its own, twice as large."""
-    renderer = Renderer(context, [painted], SIZE, view="off")
-    found = {}
-    head_from_canonical = np.diag([2.0, 2.0, 2.0, 1.0])
-    head_from_canonical[:3, 3] = 0.3, -0.2, 0.1
-    for part in PARTS:
-        cameras, images, masks = [], [], []
-        middle, far = ((0, 0.6, 0), 0.8) if part == "head" else ((0, -0.1, 0), 3.2)
-        # a head is filmed as it stands in the canonical pose, which is the mannequin's
-        pose = np.asarray(painted.canonical_pose, np.float64)
-        for turn in 2 * np.pi * np.arange(8) / 8:
-            camera = orbit_camera(middle, far, turn, 0.05, SIZE)
-            image = renderer.draw([(pose, np.zeros(3))], camera)
-            images.append(image[..., :3].copy())
-            masks.append(image[..., 3] == 255)
-            if part == "head":
-                # the same picture from a camera in the head's frame
-                view = camera.camera_from_world @ np.linalg.inv(head_from_canonical)
-                view[:3] *= 2
-                camera = Camera(camera.K, view, SIZE)
-            cameras.append(camera)
-        posed = part != "head"
-        found[part] = PartVideo(
-            part, np.stack(images), np.stack(masks), tuple(cameras),
-            np.tile(pose, (8, 1, 1)) if posed else None, np.zeros((8, 3)) if posed else None, None, None,
-        )  # fmt: skip
-    renderer.release()
-    return FoundVideos(Path(), None, head_from_canonical, {}, False, None, False, found)
 
 
 @pytest.fixture(scope="module")
@@ -317,48 +264,6 @@ def test_pieces_are_found_across_chart_edges_and_skin_under_hair_is_filled_from_
     dreamt = np.where((piece == 1)[:, None] | ~seen[:, None], hair, skin)
     found = filled_colors(surface, dreamt, seen)
     np.testing.assert_allclose(found, np.tile(skin, (len(found), 1)), atol=NEAR + 1e-3)
-
-
-def test_the_heads_video_is_not_believed_under_the_chin_of_estimated_people(painted):
-    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
-    height = mesh.positions[:, 1]
-    chin = float(mesh.positions[mesh.share[:, 15] == 1, 1].mean())
-    made, low = vertex_importance(mesh, "head"), mesh._replace(chin=chin)
-    estimated = vertex_importance(low, "head")
-    assert (estimated[height < chin] == 0).all() and made[height < chin].max() == 1
-    np.testing.assert_array_equal(estimated[height > chin + 0.011], made[height > chin + 0.011])
-    # what the head's video does not tell, the body's does
-    assert vertex_importance(low, "body")[(height < chin) & (made == 1)].min() == 1
-
-
-def test_neck_and_collar_are_the_heads_videos_where_the_trunk_under_it_is_known(painted):
-    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
-    chin = float(mesh.positions[mesh.share[:, 15] == 1, 1].min())
-    mesh = mesh._replace(chin=chin, trunk=True)
-    importance, under = vertex_importance(mesh, "head"), chin - mesh.positions[:, 1]
-    neck = (mesh.share[:, [9, 12, 13, 14, 15]].sum(1) > 0.99) & (under < COLLAR[0])
-    assert (importance[neck] == 1).all() and (under[neck] > 0.5 * COLLAR[0]).any()
-    assert (importance[under > COLLAR[1]] == 0).all() and (importance[mesh.share[:, [16, 17]].sum(1) > 0.7] == 0).all()
-    np.testing.assert_allclose(vertex_importance(mesh, "body")[neck], FAR_VIDEO)
-
-
-def test_a_trunk_goes_under_the_head_as_it_stood(painted, videos):
-    """Of somebody who bows: the head where its cameras have it, the rest beside it as in the whole pose."""
-    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
-    bow = np.asarray(BIG_POSE, np.float64).copy()
-    bow[[12, 15], 0] = 0.2, 0.3
-    filmed = videos.video("head")
-    stiff = next(posed_frames(mesh, filmed, videos.head_from_canonical))
-    bowed = next(posed_frames(mesh, replace(filmed, trunk=np.tile(bow, (8, 1, 1))), videos.head_from_canonical))
-    transforms = skin_transforms(bow, mesh.joints, np.zeros(3))
-    M = np.linalg.inv(transforms[15]) @ blended_transforms(mesh.skin, transforms)
-    beside = np.einsum("vij,vj->vi", M[:, :3, :3], mesh.positions) + M[:, :3, 3]
-    np.testing.assert_allclose(bowed.vertices, beside, atol=1e-6)
-    still = mesh.share[:, 15] == 1
-    for name in ("vertices", "normals", "along"):
-        np.testing.assert_allclose(getattr(bowed, name)[still], getattr(stiff, name)[still], atol=1e-6)
-    assert np.linalg.norm(bowed.vertices - stiff.vertices, axis=1).max() > 0.1
-    assert bowed.camera.camera_from_world.tolist() == stiff.camera.camera_from_world.tolist()
 
 
 def test_the_chin_of_estimated_people_is_found_with_their_videos(filmed, tmp_path):

@@ -17,6 +17,7 @@ from capture.fit.outline import placement
 from capture.fit.pixels import compare_pixels
 from capture.fit.scan import FOCAL, GUESSED, WRITTEN, fit_scan, footage_in, phone_of, tracked_in
 from capture.fit.solve import posed_frames
+from capture.fit.trunk import SHOULDERS
 from capture.keypoints.record import Keypoints
 from capture.raw.scan import RawScan, RawVideo
 from command.errors import AssetError
@@ -60,7 +61,7 @@ def filmed() -> tuple[Estimate, RawScan]:
     truth, focal = twin.truth, twin.footage.focal
     videos = {"body": video_of(truth, body.body_names(), "body", focal)}
     for part in ("head", "hand_left", "hand_right"):
-        names = head.NAMES if part == "head" else hand.hand_names(part.removeprefix("hand_"))
+        names = (*head.NAMES, *SHOULDERS) if part == "head" else hand.hand_names(part.removeprefix("hand_"))
         videos[part] = video_of(close_up(truth, part), names, part, focal)
     return truth, RawScan(videos)
 
@@ -90,6 +91,10 @@ def test_scan_becomes_a_person(filmed, monkeypatch):
     here = [camera.camera_from_world @ joint_transforms(pose, fitted.template.joints, root)[wrist]
             for camera, pose, root in zip(close.cameras, close.axis_angle, close.root)]  # fmt: skip
     assert np.median(np.linalg.norm(np.array(here)[:, :3, 3] - there, axis=1)) < 0.04
+    # whose shoulders are seen under the head; the hands' videos have the whole pose
+    trunk = fitted.videos["head"].trunk
+    assert trunk is not None and trunk.shape == (FRAMES, 52, 3) and np.abs(trunk[:, [12, 15]]).max() < np.radians(25)
+    assert close.trunk is None
     assert len(fitted.landmarks) >= 6
     nose, vertex = fitted.landmarks["nose_tip"]
     np.testing.assert_array_equal(nose, fitted.template.vertices[vertex])

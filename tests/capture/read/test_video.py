@@ -43,7 +43,9 @@ def before(part, size, fov, count=1, left_out=()):
     middle = TEMPLATE.vertices[TEMPLATE.part == PARTS.index(part)].mean(0) if part != "body" else np.zeros(3)
     camera = Camera(pinhole(size, fov), look_at(middle + [0, 0, 3.0 if part == "body" else 0.6], middle), size)
     poses = (None, None) if part == "head" else (np.zeros((count, 52, 3)), np.zeros((count, 3)))
-    return FittedVideo((camera,) * count, *poses, ~np.isin(np.arange(count), left_out))
+    # each frame's own number stands for its pose
+    trunk = np.broadcast_to(np.arange(count, dtype=float)[:, None, None], (count, 52, 3)) if part == "head" else None
+    return FittedVideo((camera,) * count, *poses, ~np.isin(np.arange(count), left_out), trunk)
 
 
 def stand_in(scan, left_out=()):
@@ -63,6 +65,8 @@ def test_a_capture_is_written_whole_with_soft_rims_and_its_origin(filmed_four, t
         assert 6 <= len(video.images) == len(capture.facts["frame_numbers"][part]) <= 7
         assert video.unsure is not None and 0 < video.unsure.mean() < (0.1 if part == "body" else 0.6)
         assert 0.01 < video.masks.mean() < 0.7
+    trunk = capture.videos["head"].trunk
+    assert trunk is not None and trunk[:, 0, 0].tolist() == [i for i in range(len(trunk) + 1) if i != 2]
     assert any("body.mp4: 8 frames kept" in note for note in notes) and notes[-1] == "fitted by a stand-in"
     assert not out.with_name("capture.partial").exists()
 
