@@ -115,3 +115,18 @@ def test_a_collar_gets_the_texels_of_a_head(run, small, tmp_path):
     assert facts[0]["faces_by_part"]["collar"] == 0 and "collar" not in facts[0]["texel_mm_by_part"]
     texel = facts[1]["texel_mm_by_part"]
     assert facts[1]["faces_by_part"]["collar"] > 100 and texel["collar"] == pytest.approx(texel["head"], rel=0.2)
+
+
+class Begun(Exception):
+    """A bake that began with these options."""
+
+
+@pytest.mark.parametrize("trunk", [False, True])
+def test_the_videos_say_whether_a_collar_is_as_fine_as_a_head(run, small, videos, tmp_path, monkeypatch, trunk):
+    def begun(run, origin, options, clock):
+        raise Begun(options.collar_density)
+
+    monkeypatch.setattr("bake.bake.extracted", begun)
+    density = str(small.head_density if trunk else 1.0)
+    with pytest.raises(Begun, match=density):
+        bake_run(run, tmp_path / "one.glb", small, lambda line: None, replace(videos, trunk=trunk))

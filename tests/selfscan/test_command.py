@@ -340,8 +340,6 @@ def test_killed_at_random_moments_make_goes_on_and_ends_with_the_same_avatar(tmp
     assert start_tiny("synth", "builtin", films, *raw).wait() == 0
     began = time.time()
     assert start_make(films, whole).wait() == 0
-    # the head's film shows shoulders, so its collar is as fine as its head
-    assert read_avatar(whole).provenance["baked"]["levels"][0]["faces_by_part"]["collar"] > 0
     ends = {name: (whole.with_suffix(".making") / name).stat().st_mtime - began for name in PRODUCTS}
     moments = np.random.default_rng(7).uniform(0, max(ends.values()), int(os.environ.get("SELFSCAN_KILLS", "2")))
     for moment in np.sort(moments):
