@@ -4,9 +4,9 @@ A detector's points at the eyes are some millimetres off, each by its own, and a
 millimetres high: a ball behind lids drawn by such points gets the color of lids. So the opening keeps the free body's
 form, and where it lies is asked of the pixels. How deep: the frames that look at the face agree on a plane through the
 eyes at the right depth alone (plane sweep, Collins 1996); 3 mm off, an eye slides by as much from cheek to cheek, and a
-texture of all frames is blurred. Where in that plane: white, iris and skin round the lids differ most in color where
-the template's opening lies on them, which is Otsu's separability (1979) of three classes, between-class variance over
-total variance.
+texture of all frames is blurred. Upper lashes stand some millimetres before the ball: the eyes' lower halves are asked.
+Where in that plane: a drawing of skin, lashes, white and iris, blurred as the pictures are, each of the color that fits
+best, explains most of a picture's variance where the template's opening lies on the eye's.
 """
 
 from collections.abc import Sequence
@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray as Array
 from scipy.interpolate import RBFInterpolator
+from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 
 from avatar.camera import Camera, project
@@ -30,27 +31,32 @@ from geometry.closest import beyond_loop
 # cosine between where the face looks and its camera, at least, for their depth and for the rest; frames that are used,
 # at most and at least
 FACING, STRAIGHT, MOST, FEWEST = 0.8, 0.9, 24, 5
-# metres: depths that are tried, half the width and height of what is compared there; most variance between frames, as
-# a share of that within their mean
-DEPTHS, EYE, AGREED = np.linspace(-0.008, 0.008, 17), (0.014, 0.009), 0.6
+# metres: depths that are tried, half the width and height of what is compared there, and how far up over the opening's
+# middle; most variance between frames, as a share of that within their mean
+DEPTHS, EYE, LOWER, AGREED = np.linspace(-0.008, 0.008, 17), (0.014, 0.009), 0.001, 0.6
 # metres: a pixel of the picture in the plane of the lids, and half its width and height
 PIXEL, HALF = 0.0004, (0.030, 0.022)
 # pixels of a frame that an iris of 12 mm is wide, at least
 IRIS_PIXELS = 6.0
 # metres: radii of an iris, and by how much nearer to the nose its middle may lie than the opening's (.002 on the free
 # body); heights of the opening beside the template's
-RADII, ASIDE, HEIGHTS = (0.005, 0.006, 0.007, 0.008), (0.0, 0.001, 0.002), (1.0, 1.25, 1.5)
+RADII, ASIDE, HEIGHTS = (0.0055, 0.0062, 0.007), (0.0, 0.001, 0.002), (1.0, 1.25, 1.5)
 # metres to either side of the opening's middle whose lids say how deep it is: its corners lie behind
 LIDS = 0.004
-# metres: pixels so near to lids or to the edge of the iris say nothing; skin lies between these off the lids
-LASHES, SKIN = 0.0006, (0.0018, 0.005)
-# metres: how far an eye is sought up and aside; standard deviations of that, and of one eye's height from the other's
-REACH, EXPECTED, LEVEL = (0.008, 0.009), 0.004, 0.002
+# metres over the upper lid to which thin and thick lashes reach, and round the opening as far as skin is drawn; the
+# pictures' blur, a standard deviation, in their pixels
+LASHES, SKIN, BLUR = (0.0012, 0.0026), 0.005, 0.45
+# metres: how far an eye is sought up and aside; standard deviations of that, of its depth, and of one eye's height from
+# the other's
+REACH, EXPECTED, DEEP, LEVEL = (0.008, 0.009), 0.0025, 0.003, 0.002
 # standard deviation of an opening's height beside the template's: lashes and shadow would do for more of it
 HEIGHT = 0.35
-# weight of a standard deviation's square beside separability; a color's variance that noise has; by how much an eye is
-# whiter than its iris, and the least of both eyes' separability
-PRIOR, NOISE, WHITER, SEPARATE = 0.05, 4e-4, 0.02, 0.2
+# weight of a standard deviation's square beside the share of the variance that is explained, of which both eyes' mean
+# is at least so much; a color's variance that noise has
+PRIOR, EXPLAINED, NOISE = 0.05, 0.2, 4e-4
+# [0, 1]: by how much the white is brighter than the iris; how much more colorful than skin it may be (least over largest
+# channel), for it lies in the lids' shade
+WHITER, COLORFUL = 0.02, 0.05
 # places looked at for each size, best first
 BEST = 150
 # metres: skin nearer to an eye goes with it, what is farther stays
@@ -73,7 +79,7 @@ class FoundEyes(NamedTuple):
 
     size: Size
     moves: Float[Array, "2 3"]  # metres, of the openings' middles
-    separable: float  # mean of both
+    explained: float  # share of the pictures' variance, mean of both
 
 
 def with_eyes_of_pictures(
@@ -94,7 +100,7 @@ def with_eyes_of_pictures(
 def find_eyes(
     vertices: Float[Array, "vertices 3"], cameras: Sequence[Camera], video: RawVideo, usable: Bool[Array, "frames"]
 ) -> FoundEyes | None:
-    """Both eyes near those of a free body in pose 0; None where too few frames show them, or nothing is separable."""
+    """Both eyes near those of a free body in pose 0; None where too few frames show them, or nothing is explained."""
     sockets = body_sockets()
     middles = np.stack([opening_middle(vertices, socket.rim) for socket in sockets])
     frames, straight = frames_of_eyes(cameras, middles.mean(0), usable)
@@ -102,12 +108,13 @@ def find_eyes(
         return None
     views = [(video.picture(int(f)), cameras[f]) for f in frames]
     # both alike: a sweep sees little of one of them where the head turns away
-    depth = float(np.mean([depth_of_eye(middle, views) for middle in middles]))
+    depth = depth_of_eyes(middles, views)
+    blur = BLUR * float(np.median([np.linalg.norm(c.eye - middles.mean(0)) / c.K[0, 0] for _, c in views[:straight]]))
     maps = []
     for socket, middle, outwards in zip(sockets, middles, (1, -1)):
         picture = np.median(planes(middle + [0, 0, depth], views[:straight], HALF), 0)
         loop = in_order(vertices[socket.rim, :2] - middle[:2])
-        maps.append(np.stack([separability(picture, regions(loop, size, outwards)) for size in SIZES]))
+        maps.append(np.stack([explained(picture, *drawn(loop, size, outwards, blur)) for size in SIZES]))
     found = best_pair(np.stack(maps, 1), middles[:, 1])
     return None if found is None else found._replace(moves=found.moves + [0, 0, depth])
 
@@ -148,20 +155,22 @@ def planes(
     return np.stack(shown).reshape(len(views), *u.shape, 3)
 
 
-def depth_of_eye(middle: Float[Array, "3"], views: list[tuple[UInt8[Array, "h w 3"], Camera]]) -> float:
-    """How far before the template's an eye lies, metres; 0 where frames agree nowhere in reach.
+def depth_of_eyes(middles: Float[Array, "2 3"], views: list[tuple[UInt8[Array, "h w 3"], Camera]]) -> float:
+    """How far before the template's the eyes lie, metres; 0 where frames agree nowhere in reach.
 
     The light may change between frames: each one's mean color is taken off.
     """
-    left = []
-    for depth in DEPTHS:
-        shown = planes(middle + [0, 0, depth], views, EYE)
-        shown = shown - shown.mean((1, 2), keepdims=True)
-        left.append(shown.var(0).mean() / max(float(shown.mean(0).var((0, 1)).mean()), 1e-9))
-    k = int(np.argmin(left))
+    lower, left = grid(EYE)[1] < LOWER, np.zeros(len(DEPTHS))
+    for k, depth in enumerate(DEPTHS):
+        for middle in middles:
+            shown = planes(middle + [0, 0, depth], views, EYE)[:, lower]
+            shown = shown - shown.mean(1, keepdims=True)
+            left[k] += shown.var(0).mean() / max(float(shown.mean(0).var(0).mean()), 1e-9) / len(middles)
+    cost = left + PRIOR * (DEPTHS / DEEP) ** 2
+    k = int(np.argmin(cost))
     if k in (0, len(left) - 1) or left[k] > AGREED:
         return 0.0
-    a, b, c = left[k - 1 : k + 2]
+    a, b, c = cost[k - 1 : k + 2]
     return float(DEPTHS[k] + 0.5 * (a - c) / (a - 2 * b + c) * (DEPTHS[1] - DEPTHS[0]))
 
 
@@ -170,31 +179,42 @@ def in_order(points: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
     return points[np.argsort(np.arctan2(points[:, 1], points[:, 0]), kind="stable")]
 
 
-def regions(loop: Float[Array, "n 2"], size: Size, outwards: int) -> Bool[Array, "3 height width"]:
-    """Iris, white of the eye and skin round an opening amid a window; `outwards`: the side of the temple, 1 or -1."""
+def drawn(
+    loop: Float[Array, "n 2"], size: Size, outwards: int, blur: float
+) -> tuple[Float[Array, "5 height width"], Float[Array, "height width"]]:
+    """How much of iris, white, skin, lashes and thicker lashes pixels show round an opening amid a window, blurred by
+    `blur` (metres); and which count. `outwards`: the side of the temple, 1 or -1."""
     u, v = grid((0.0185, 0.0185))
     lids = beyond_loop(np.stack([u.ravel(), v.ravel()], 1), loop * [1, size.height]).reshape(u.shape)
-    away = np.hypot(u + outwards * size.aside, v) - size.radius
-    open_ = lids < -LASHES
-    return np.stack([open_ & (away < -LASHES), open_ & (away > LASHES), (lids > SKIN[0]) & (lids < SKIN[1])])
+    within = lambda distance: np.clip(0.5 - distance / PIXEL, 0, 1)
+    open_ = within(lids)
+    thin, thick = ((v > 0) * (within(lids - reach) - open_) for reach in LASHES)
+    iris = open_ * within(np.hypot(u + outwards * size.aside, v) - size.radius)
+    parts = np.stack([iris, open_ - iris, 1 - open_ - thick, thin, thick - thin])
+    return gaussian_filter(parts, (0, blur / PIXEL, blur / PIXEL), mode="nearest"), within(lids - SKIN)
 
 
-def separability(picture: Float[Array, "height width 3"], masks: Bool[Array, "3 h w"]) -> Float[Array, "height width"]:
-    """Otsu's (1979) of the classes' colors with the window's middle at each pixel; -1 where the white is not white."""
-    count = masks.sum((1, 2)).astype(np.float64)
-    over = lambda values, mask: fftconvolve(values, mask[::-1, ::-1] / mask.sum(), mode="same")
-    mean = np.stack([np.stack([over(picture[..., c], mask) for c in range(3)], -1) for mask in masks])
-    square = np.stack([over((picture**2).sum(-1), mask) for mask in masks])
-    share = (count / count.sum())[:, None, None]
-    middle = (share[..., None] * mean).sum(0)
-    between = (share * ((mean - middle) ** 2).sum(-1)).sum(0)
-    within = (share * (square - (mean**2).sum(-1))).sum(0)
-    iris, white, skin = mean.min(-1)
-    return np.where((white > iris + WHITER) & (white > skin), between / (within + between + NOISE), -1.0)
+def explained(
+    picture: Float[Array, "height width 3"], parts: Float[Array, "5 h w"], counts: Float[Array, "h w"]
+) -> Float[Array, "height width"]:
+    """The share of a picture's variance that parts explain, each in its best color, with the window's middle at each
+    pixel; -1 where the white would be no brighter than the iris, or more colorful than skin."""
+    over = lambda values, weight: fftconvolve(values, weight[::-1, ::-1], mode="same")
+    mean = np.stack([over(picture[..., c], counts) for c in range(3)]) / counts.sum()
+    seen = np.stack([[over(picture[..., c], counts * part) for c in range(3)] for part in parts])
+    seen -= (counts * parts).sum((1, 2))[:, None, None, None] * mean
+    # a part that blur has all but taken has no color of its own
+    normal = np.einsum("ihw,jhw,hw->ij", parts, parts, counts) + 1e-3 * counts.sum() * np.eye(len(parts))
+    color = np.einsum("ij,jchw->ichw", np.linalg.inv(normal), seen)
+    total = over((picture**2).sum(-1), counts) - counts.sum() * (mean**2).sum(0)
+    share = (color * seen).sum((0, 1)) / (total + NOISE * counts.sum())
+    iris, white, skin, *_ = (color + mean).clip(1e-3, 1)
+    grey = lambda part: part.min(0) / part.max(0)
+    return np.where((white.mean(0) > iris.mean(0) + WHITER) & (grey(white) > grey(skin) - COLORFUL), share, -1.0)
 
 
 def best_pair(maps: Float[Array, "sizes 2 height width"], heights: Float[Array, "2"]) -> FoundEyes | None:
-    """The size and the places of two eyes alike in size and level that are separable best; `heights` of the maps'
+    """The size and the places of two eyes alike in size and level that are explained best; `heights` of the maps'
     middles, metres."""
     u, v = grid(HALF)
     inside = (np.abs(v) < REACH[0]) & (np.abs(u) < REACH[1])
@@ -213,7 +233,7 @@ def best_pair(maps: Float[Array, "sizes 2 height width"], heights: Float[Array, 
             best = float(both[i, j])
             moves = np.stack([x[at], y[at], np.zeros(2)], 1)
             found = FoundEyes(size, moves, float(maps[k][:, inside][[0, 1], at].mean()))
-    return found if found is not None and found.separable > SEPARATE else None
+    return found if found is not None and found.explained > EXPLAINED else None
 
 
 def eye_offsets(vertices: Float[Array, "vertices 3"], found: FoundEyes) -> Float[Array, "vertices 3"]:

@@ -25,8 +25,9 @@ def body():
     return person_of("male").body.vertices
 
 
-def painted(vertices, camera, *, off=(0.0, 0.0, 0.0), taller=1.0, colors=(SKIN, WHITE, IRIS)):
-    """What a camera sees of a wall in the plane of the lids with both eyes on it, `off` metres from the template."""
+def painted(vertices, camera, *, off=(0.0, 0.0, 0.0), taller=1.0, colors=(SKIN, WHITE, IRIS), lashes=0.0):
+    """What a camera sees of a wall in the plane of the lids with both eyes on it, `off` metres from the template, under
+    black lashes of so many metres."""
     row, column = np.mgrid[:SIZE, :SIZE] + 0.5
     rays = np.stack([column.ravel(), row.ravel(), np.ones(SIZE * SIZE)], 1) @ np.linalg.inv(camera.K).T
     rays = rays @ camera.camera_from_world[:3, :3]
@@ -37,7 +38,9 @@ def painted(vertices, camera, *, off=(0.0, 0.0, 0.0), taller=1.0, colors=(SKIN, 
         at = (camera.eye + length[:, None] * rays)[:, :2] - middle[:2] - off[:2]
         loop = in_order(vertices[socket.rim, :2] - middle[:2]) * [1, taller]
         near = np.flatnonzero(np.abs(at).max(1) < 0.03)
-        open_ = near[beyond_loop(at[near], loop) < 0]
+        beyond = beyond_loop(at[near], loop)
+        picture[near[(beyond < lashes) & (at[near, 1] > 0)]] = 0.05
+        open_ = near[beyond < 0]
         picture[open_] = colors[1]
         picture[open_[np.hypot(*at[open_].T) < 0.006]] = colors[2]
     return np.uint8(255 * picture.reshape(SIZE, SIZE, 3))
@@ -64,8 +67,8 @@ ALL = np.ones(FRAMES, bool)
 def test_eyes_are_found_aside_above_and_behind_the_templates(body, tmp_path):
     cameras, film = filmed(body, tmp_path, off=(0.002, 0.0036, -0.003))
     found = find_eyes(body, cameras, film, ALL)
-    assert found is not None and found.size.radius == 0.006 and found.size.height == 1
-    np.testing.assert_allclose(found.moves, [[0.002, 0.0036, -0.003]] * 2, atol=0.0008)
+    assert found is not None and found.size.radius == 0.0062 and found.size.height == 1
+    np.testing.assert_allclose(found.moves, [[0.002, 0.0036, -0.0027]] * 2, atol=0.0008)
 
 
 def test_a_taller_opening_is_taller(body, tmp_path):
@@ -101,3 +104,11 @@ def test_closed_eyes_too_few_frames_and_a_head_from_afar_move_nothing(body, tmp_
     assert find_eyes(body, cameras, film, np.arange(FRAMES) < FEWEST - 1) is None
     far = [replace(camera, K=np.diag([0.1, 0.1, 1]) @ camera.K) for camera in cameras]
     assert find_eyes(body, far, film, ALL) is None
+
+
+def test_thick_lashes_over_whites_in_their_shade_are_no_iris(body, tmp_path):
+    shaded = (SKIN, (0.50, 0.42, 0.37), IRIS)
+    cameras, film = filmed(body, tmp_path, off=(0.0012, -0.0016, 0.0), colors=shaded, lashes=0.0025)
+    found = find_eyes(body, cameras, film, ALL)
+    assert found is not None
+    np.testing.assert_allclose(found.moves[:, :2], [[0.0012, -0.0016]] * 2, atol=0.0008)
