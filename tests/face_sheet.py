@@ -13,6 +13,7 @@ from avatar.skeleton import JOINTS
 from bake.face.features import FAR, PIXEL, front_camera
 from bake.face.template import PersonFace, person_face
 from capture.folder import CaptureSubject
+from geometry.closest import beyond_loop
 from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
 
@@ -77,7 +78,10 @@ def painted(at: Array, person: PersonFace) -> Array:
     upper, lower = (person.vertices[half] for half in builtin_face().seam)
     middle = 0.5 * (np.interp(at[:, 0], *upper[:, :2].T) + np.interp(at[:, 0], *lower[np.argsort(lower[:, 0]), :2].T))
     color[(np.abs(at[:, 1] - middle) < 0.0015) & (at[:, 0] > upper[0, 0]) & (at[:, 0] < upper[-1, 0])] = LIPS
-    for center in person.eyes.centres:
+    for center, (upper, lower) in zip(person.eyes.centres, person.face.lids):
         away = np.linalg.norm(at - center[:2], axis=1)
-        color[away < 0.011], color[away < 0.006] = WHITE, IRIS
+        near = np.flatnonzero(away < 0.02)
+        open_ = near[beyond_loop(at[near], person.vertices[np.r_[upper, lower[-2:0:-1]], :2]) < 0.0005]
+        color[open_] = np.where(away[open_, None] < 0.006, IRIS, WHITE)
+        color[open_[away[open_] < 0.0024]] = 0.04
     return color

@@ -1,5 +1,8 @@
 """Eyeballs of their own: the ball's side of a baked level is cut away, a rim closes the lids, a cap of a sphere with a
-polar picture of the iris turns behind them.
+picture of the iris turns behind them.
+
+The picture is put together in polar coordinates, which rings are rows of, and kept as a disc: round the pole of a polar
+picture mipmaps mean iris and white, and eyes were grey from two metres on.
 
 What the lids hid when the eye was filmed is filled: rings of the iris by what was seen of them, the white by its own
 color. The dark of the upper lid stays with its rim, which is drawn in the color of the lid's edge.
@@ -14,8 +17,10 @@ from numpy import ndarray as Array
 from scipy import ndimage
 
 from avatar.baked_avatar import Level
+from avatar.face import Eye
 from avatar.texture import sample_texture
 from bake.face.cut import chains, cut_along, extended, places, refined
+from bake.face.eye_drawing import EyeDrawing
 from bake.face.template import FaceRefused, PersonFace
 from geometry.cells import nearest_marked
 from geometry.closest import beyond_loop, closest_points, triangle_index
@@ -23,8 +28,6 @@ from geometry.mesh import component_labels, half_edges
 
 # metres off the ball beyond which nothing is of it
 REACH = 0.012
-# metres off the ball within which vertices are on it, and how many of them before its middle make it a surface's own
-BALL, SEEN = 0.0003, 8
 # metres of an edge beside an eye that is painted on the surface, at most
 LONGEST = 0.0025
 # width and height of its opening beside the template's
@@ -32,6 +35,8 @@ PAINTED = np.array([1.2, 1.25])
 # radians from the axis to the edge of the cap: seen through the lids when it turns by 20 degrees
 CAP = np.radians(105.0)
 RINGS, SPOKES = 8, 24
+# the polar picture's width, round the axis, and height, from it
+POLAR = (256, 128)
 # metres: the cap lies so far within the filmed ball
 WITHIN = 0.0001
 # radians from the lids' edge within which a picture shows lids and lashes; over which what was seen fades into the fill
@@ -100,14 +105,6 @@ def lonely(edges: Integer[Array, "n 2"]) -> Bool[Array, "n"]:
     return ~np.isin(edges[:, 0] * last + edges[:, 1], edges[:, 1] * last + edges[:, 0])
 
 
-def shows_ball(level: Level, center: Float[Array, "3"], radius: float) -> bool:
-    """Whether the surface between the lids is the ball's; else the eye is painted on a surface that goes on."""
-    offset = level.positions - center
-    ahead = (offset[:, 2] > 0) & (np.hypot(offset[:, 0], offset[:, 1]) < 0.7 * radius)
-    off = np.abs(np.linalg.norm(offset[ahead], axis=1) - radius)
-    return int((off < BALL).sum()) >= SEEN
-
-
 def only_front(
     value: Float[Array, "vertices"], offset: Float[Array, "vertices 3"], place: Integer[Array, "vertices"],
     faces: Integer[Array, "faces 3"],
@@ -122,10 +119,10 @@ def only_front(
 
 
 class Cap(NamedTuple):
-    """A part of a sphere about an axis, and its polar picture's coordinates."""
+    """A part of a sphere about an axis, and places on its disc."""
 
     directions: Float[Array, "n 3"]  # unit
-    uv: Float[Array, "n 2"]  # u round the axis, v from it
+    uv: Float[Array, "n 2"]  # [0, 1]
     faces: Integer[Array, "faces 3"]
 
 
@@ -137,7 +134,27 @@ def cap(axis: Float[Array, "3"], coarse: float = 1.0) -> Cap:
     a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     faces = np.concatenate([np.stack([a, b, c], -1)[:].reshape(-1, 3), np.stack([a, c, d], -1)[1:].reshape(-1, 3)])
     uv = np.stack([u, v], -1).reshape(-1, 2)
-    return Cap(polar(axis, uv), uv, faces)
+    return Cap(polar(axis, uv), on_disc(uv), faces)
+
+
+def on_disc(uv: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    """Places of a polar picture on the disc, where the iris has two fifths of the radius."""
+    angle, away = 2 * np.pi * uv[:, 0], np.sin(0.5 * np.pi * uv[:, 1:])
+    return 0.5 + 0.5 * away * np.stack([np.cos(angle), np.sin(angle)], 1)
+
+
+def disc(picture: Float[Array, "height width 3"], size: tuple[int, int]) -> Float[Array, "rows columns 3"]:
+    """The disc of a polar picture, `size` texels wide and high; its edge's colors beyond it."""
+    height, width = picture.shape[:2]
+    columns, rows = size
+    y, x = np.meshgrid(
+        2 * (np.arange(rows) + 0.5) / rows - 1, 2 * (np.arange(columns) + 0.5) / columns - 1, indexing="ij"
+    )
+    away = np.arcsin(np.minimum(np.hypot(x, y), 1)) / (0.5 * np.pi) * height - 0.5
+    round_it = (np.arctan2(y, x) / (2 * np.pi) % 1) * width + 0.5
+    wrapped = np.concatenate([picture[:, -1:], picture, picture[:, :1]], 1)
+    shown = [ndimage.map_coordinates(wrapped[..., c], [away, round_it], order=1, mode="nearest") for c in range(3)]
+    return np.stack(shown, -1)
 
 
 def frame(axis: Float[Array, "3"]) -> Float[Array, "3 3"]:
@@ -191,15 +208,17 @@ def eye_axis(opened: OpenEye, center: Float[Array, "3"]) -> Float[Array, "3"]:
     return axis
 
 
-def iris_picture(
-    opened: OpenEye, center: Float[Array, "3"], axis: Float[Array, "3"], size: tuple[int, int]
-) -> Float[Array, "height width 3"]:
-    """The polar picture of a ball, `size` texels wide and high, [0, 1] sRGB."""
-    width, height = size
+def iris_picture(opened: OpenEye, eye: Eye, drawing: EyeDrawing | None = None) -> Float[Array, "height width 3"]:
+    """The polar picture of a ball, [0, 1] sRGB, with what a drawing adds."""
+    center, axis = eye.center, eye.axis
+    width, height = POLAR
     row, column = np.mgrid[:height, :width]
     uv = np.stack([(column.ravel() + 0.5) / width, (row.ravel() + 0.5) / height], 1)
     directions = polar(axis, uv)
     colors = ball_colors(opened, center, directions).reshape(height, width, 3)
+    if drawing is not None:
+        colors += drawing.at(center + eye.radius * directions).reshape(colors.shape)
+        colors = colors.clip(0, 1)
     edge = opened.level.positions.astype(np.float64)[opened.loop] - center
     edge /= np.linalg.norm(edge, axis=1, keepdims=True)
     inside = np.arccos(np.clip(directions @ edge.T, -1, 1)).min(1).reshape(height, width)

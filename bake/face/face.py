@@ -16,7 +16,8 @@ from avatar.texture import bytes_of
 from bake.face.blink import LIDS, fitted_blink, outside, pushed_out
 from bake.face.carry import carried
 from bake.face.cut import MEANS, joined
-from bake.face.eyes import WITHIN, Cap, OpenEye, cap, cut_ball, eye_axis, iris_picture
+from bake.face.eye_drawing import draw_eyes
+from bake.face.eyes import WITHIN, Cap, OpenEye, cap, cut_ball, disc, eye_axis, iris_picture
 from bake.face.features import aligned
 from bake.face.follow import following
 from bake.face.lips import LipLine, cut_lips, lip_line
@@ -111,10 +112,12 @@ def with_face(levels: Sequence[Level], person: PersonFace) -> Faced:
         moves = [parts.growing.offsets[:, edge] for edge in (parts.upper, parts.lower)]
         mouth = mouth_behind(coarser(person) if number else person, at, (moves[0], moves[1]))
         if number == 0:
-            for one, center, radius, place in zip(parts.opened, *person.eyes, EYES):
-                axis = eye_axis(one, center)
-                pictures[place] = iris_picture(one, center, axis, size_in(place, texels))
+            loops = [one.level.positions[one.loop].astype(np.float64) for one in parts.opened]
+            drawings = draw_eyes(level, loops, person.eyes.centres) or [None, None]
+            for one, center, radius, place, drawing in zip(parts.opened, *person.eyes, EYES, drawings):
+                axis = eye_axis(one, center) if drawing is None else drawing.axis(float(radius))
                 eyes.append(Eye(center, axis, float(radius) - WITHIN))
+                pictures[place] = disc(iris_picture(one, eyes[-1], drawing), size_in(place, texels))
             pictures[MOUTH] = mouth_picture(person, mouth, size_in(MOUTH, texels))
         own = {place: resized(picture, size_in(place, texels)) for place, picture in pictures.items()}
         grown = joined_face(parts, mouth, [(eye, cap(eye.axis, coarse)) for eye in eyes], own)

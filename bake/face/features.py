@@ -17,7 +17,6 @@ from scipy.spatial.distance import cdist
 from avatar.baked_avatar import Level
 from avatar.camera import Camera
 from avatar.texture import sample_texture
-from bake.face.eyes import shows_ball
 from bake.face.lips import lip_line
 from bake.face.template import FaceRefused, PersonFace
 from capture.fit.points import body_points
@@ -38,6 +37,8 @@ LID, OVER_BROW, BESIDE_BROW = 0.007, 0.03, 0.012
 EYES, IRIS = 0.016, 0.0058
 # metres round mouth and eyes that the picture shows; within which they take their surroundings with them
 BOX, SPREAD = np.array([0.03, 0.025, 0.03]), 0.012
+# metres off the ball within which vertices are on it, and how many of them before its middle make it a surface's own
+BALL, SEEN = 0.0003, 8
 # metres that a ball lies under a surface on which it is painted
 UNDER = 0.0004
 # metres by which one eye may be off otherwise than the other; brightness by which an iris is darker than the white
@@ -79,12 +80,25 @@ def aligned(person: PersonFace, level: Level) -> PersonFace:
     return person._replace(vertices=vertices, inside=inside, parts=parts, eyes=eyes, filmed=filmed)
 
 
+def shows_ball(level: Level, center: Float[Array, "3"], radius: float) -> bool:
+    """Whether the surface between the lids is the ball's; else the eye is painted on a surface that goes on."""
+    offset = level.positions - center
+    ahead = (offset[:, 2] > 0) & (np.hypot(offset[:, 0], offset[:, 1]) < 0.7 * radius)
+    off = np.abs(np.linalg.norm(offset[ahead], axis=1) - radius)
+    return int((off < BALL).sum()) >= SEEN
+
+
 class FrontPicture(NamedTuple):
     """A part of a level as it looks from the front, row 0 on top."""
 
-    light: Float[Array, "height width"]  # [0, 1]; NaN where there is nothing
+    colors: Float[Array, "height width 3"]  # sRGB in [0, 1]; NaN where there is nothing
     points: Float[Array, "height width 3"]  # canonical, metres
     low: Float[Array, "2"]  # x of the first column's and y of the last row's middle
+
+    @property
+    def light(self) -> Float[Array, "height width"]:
+        """Brightness in [0, 1]."""
+        return self.colors.mean(2)
 
     def column(self, x: Float[Array, "n"]) -> Float[Array, "n"]:
         """Columns of places."""
@@ -122,10 +136,10 @@ def front_picture(level: Level, low: Float[Array, "3"], high: Float[Array, "3"])
     weight = np.stack([cross(b - at, c - at), cross(c - at, a - at), cross(a - at, b - at)], 1)
     weight = np.clip(weight / weight.sum(1, keepdims=True), 0, 1)
     weight /= weight.sum(1, keepdims=True)
-    light, places = np.full(hit.shape, np.nan), np.full((*hit.shape, 3), np.nan)
-    colors = sample_texture(level.base_color / 255.0, blended(level.uv.astype(np.float64), triangle, weight))
-    light[hit], places[hit] = colors.mean(1), blended(points, triangle, weight)
-    return FrontPicture(light, places, np.asarray(low[:2], np.float64))
+    colors, places = np.full((2, *hit.shape, 3), np.nan)
+    colors[hit] = sample_texture(level.base_color / 255.0, blended(level.uv.astype(np.float64), triangle, weight))
+    places[hit] = blended(points, triangle, weight)
+    return FrontPicture(colors, places, np.asarray(low[:2], np.float64))
 
 
 def brow_vertices() -> tuple[list[int], list[int]]:

@@ -25,7 +25,7 @@ class StripPart(NamedTuple):
     right: float
 
 
-MOUTH, LEFT_EYE, RIGHT_EYE = StripPart(0.0, 0.25), StripPart(0.25, 0.45), StripPart(0.45, 0.65)
+MOUTH, LEFT_EYE, RIGHT_EYE = StripPart(0.0, 0.25), StripPart(0.25, 0.3125), StripPart(0.3125, 0.375)
 # texels round a picture that repeat its edge: coarse mips read there
 GUTTER = 4
 

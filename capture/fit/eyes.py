@@ -54,8 +54,8 @@ HEIGHT = 0.35
 # weight of a standard deviation's square beside the share of the variance that is explained, of which both eyes' mean
 # is at least so much; a color's variance that noise has
 PRIOR, EXPLAINED, NOISE = 0.05, 0.2, 4e-4
-# [0, 1]: by how much the white is brighter than the iris; how much more colorful than skin it may be (least over largest
-# channel), for it lies in the lids' shade
+# [0, 1]: by how much the white is brighter than the iris; how much more colorful than skin it may be (least over
+# largest channel), for it lies in the lids' shade
 WHITER, COLORFUL = 0.02, 0.05
 # places looked at for each size, best first
 BEST = 150

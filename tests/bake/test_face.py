@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from face_sheet import IRIS, WHITE, face_sheet
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 from tiny_avatar import tiny_avatar
 
-from avatar.face import SHAPES
-from avatar.texture import sample_texture
+from avatar.face import SHAPES, Eye
+from avatar.texture import bytes_of, sample_texture
 from bake.bake import _Clock, faced
 from bake.face.cut import chains, cut_along, divided_faces
-from bake.face.eyes import CAP, eye_axis, iris_picture
+from bake.face.eye_drawing import draw_eyes
+from bake.face.eyes import CAP, POLAR, cap, disc, eye_axis, iris_picture, polar
 from bake.face.face import COARSE, parted, with_face
 from bake.face.features import PIXEL, ROUND, FrontPicture, aligned, brows_off, darkest_off, with_brow
 from bake.face.lips import STEP, lip_line
@@ -176,12 +178,52 @@ def test_an_eye_looks_where_its_iris_is_and_shows_it_all_round():
     for opened, center in zip(PARTED.opened, SHEET.person.eyes.centres):
         axis = eye_axis(opened, center)
         assert np.degrees(np.arccos(axis[2])) < 2.5
-        picture = iris_picture(opened, center, axis, (128, 128))
+        picture = iris_picture(opened, Eye(center, axis, 0.012))
         rows = lambda degrees: picture[int(np.radians(degrees) / CAP * 128)]
         assert np.abs(rows(15) - IRIS).max() < 0.15
         assert np.abs(rows(38) - WHITE).max() < 0.15
         # hidden behind the lids it is of one color, in their shade
         assert np.ptp(rows(95), axis=0).max() < 0.02 and 0.3 < rows(95).mean() < 0.6
+
+
+def test_a_disc_shows_each_direction_where_the_cap_reads_it_and_its_mipmaps_keep_the_iris():
+    axis = np.array([0.1, -0.05, 1.0]) / np.linalg.norm([0.1, -0.05, 1.0])
+    width, height = POLAR
+    row, column = np.mgrid[:height, :width] + 0.5
+    directions = polar(axis, np.stack([column.ravel() / width, row.ravel() / height], 1))
+    picture = disc((0.5 + 0.5 * directions).reshape(height, width, 3), (120, 120))
+    shown = cap(axis)
+    read = sample_texture(picture, shown.uv)
+    inside = directions_off(shown.directions, axis) < 90
+    np.testing.assert_allclose(read[inside], 0.5 + 0.5 * shown.directions[inside], atol=0.02)
+    iris = np.where(directions_off(directions, axis) < 29, 0.1, 0.8).reshape(height, width, 1).repeat(3, 2)
+    mip = disc(iris, (120, 120)).reshape(15, 8, 15, 8, 3).mean((1, 3))
+    assert mip[7, 7].max() < 0.11 and mip[6:9, 6:9].max() < 0.2
+
+
+def directions_off(directions, axis):
+    """Degrees off an axis."""
+    return np.degrees(np.arccos(np.clip(directions @ axis, -1, 1)))
+
+
+def test_an_eye_that_is_blurred_gets_back_what_the_blur_took_and_a_sharp_one_stays():
+    def pictures(blur):
+        """Both eyes' pictures of a blurred sheet from the pupil to the white, without a drawing and with it."""
+        image = gaussian_filter(SHEET.level.base_color.astype(np.float64), (blur, blur, 0))
+        level = replace(SHEET.level, base_color=bytes_of(image / 255))
+        opened, centers = parted(level, SHEET.person, lip_line(SHEET.person)).opened, SHEET.person.eyes.centres
+        loops = [one.level.positions[one.loop].astype(np.float64) for one in opened]
+        drawings = draw_eyes(level, loops, centers)
+        assert drawings is not None
+        eyes = [Eye(center, drawing.axis(0.012), 0.012) for center, drawing in zip(centers, drawings)]
+        assert all(np.degrees(np.arccos(eye.axis[2])) < 4 for eye in eyes)
+        return [np.stack([iris_picture(*each, drawing)[:46] for *each, drawing in zip(opened, eyes, drawn)])
+                for drawn in ([None, None], drawings)]  # fmt: skip
+
+    true, sharp = pictures(0.01)
+    blurred, drawn = pictures(3.5)
+    off = lambda some: np.abs(some - true).mean()
+    assert off(sharp) < 0.01 and off(blurred) > 0.04 and off(drawn) < 0.7 * off(blurred)
 
 
 def test_lips_that_registration_left_beside_the_picture_s_are_found():
@@ -197,9 +239,8 @@ def strip(*bands, base=0.7):
     for y, half, brightness in bands:
         light[np.abs(height - y) < half] = brightness
     x = np.linspace(-0.02, 0.02, 5)
-    picture = FrontPicture(
-        np.repeat(light[:, None], 160, 1), np.zeros((120, 160, 3)), np.array([-0.04, 0.06 - 119 * PIXEL])
-    )
+    colors = np.tile(light[:, None, None], (1, 160, 3))
+    picture = FrontPicture(colors, np.zeros((120, 160, 3)), np.array([-0.04, 0.06 - 119 * PIXEL]))
     return picture, np.c_[x, np.full(5, 0.03), 0 * x]
 
 
