@@ -19,7 +19,7 @@ from capture.fit.body import CUTS, FIRST
 from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.keypoint_term import projected
 from capture.fit.priors import FROZEN, NECK, Priors
-from capture.fit.refusals import MISFIT, misfits
+from capture.fit.refusals import misfits
 from capture.fit.solve import posed_frames, solve
 from capture.keypoints.record import SIDES, Keypoints
 from capture.raw.outline import HANGING
@@ -32,8 +32,9 @@ MEAN, NOD, ACROSS = 4.0, 20.0, 4.0
 LEAN = 1.0
 # pixels of a picture 1080 high: of the head's own points, which are where they were found
 HELD = 1.0
-# metres: a detector's shoulder beside ours, which hangs on a template of a body seen from afar
-SHOULDER_OFF = 0.03
+# metres: a detector's shoulder beside ours, which hangs on a template of a body seen from afar; standard deviations of
+# pixels from which on no trunk explains the shoulders
+SHOULDER_OFF, UNEXPLAINED = 0.03, 10.0
 # what an increment of the pelvis' turn adds to its axis, in its own frame: d x y
 TILT = np.array([[0.0, 0, -1], [0, 0, 0], [1, 0, 0]])
 
@@ -62,7 +63,7 @@ def trunk_angles(head: Estimate, footage: Footage, keypoints: Keypoints) -> Floa
     off = np.repeat((FROZEN, SHOULDER_OFF), (len(footage.names), len(shoulders.names)))
     fitted = solve(start, seen, seated(start, off), cuts=(FIRST, *CUTS), rounds=12, terms=(upright,))
     away = (misfits(fitted, seen) * seen.sure)[:, len(footage.names) :]
-    return axis_angle_from_joint_angles(fitted.angles) if np.nanmedian(away) <= MISFIT else None
+    return axis_angle_from_joint_angles(fitted.angles) if np.nanmedian(away) <= UNEXPLAINED else None
 
 
 def seated(start: Estimate, bias: Float[Array, "points"]) -> Priors:

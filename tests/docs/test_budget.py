@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_263,
     "avatar": 9_210,
     "geometry": 1_693,
-    "capture": 12_719,
+    "capture": 12_720,
     "train": 5_316,
     "bake": 6_029,
     "player": 19_451,
