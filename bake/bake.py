@@ -55,6 +55,7 @@ from bake.texture.video_texture import with_video_textures
 from bake.twist import with_twist
 from capture.check.unseen import unseen_places
 from capture.folder import CaptureSubject
+from capture.own_face import OwnFace
 from command.errors import AssetError
 from command.workers import on_all_cores
 from geometry.isosurface import Extraction, GridSteps
@@ -145,7 +146,7 @@ def bake_run(
     facts["default_view"] = {"mode": distilled.default_view, "reason": distilled.reason}
     clock(f"default view: {distilled.default_view} ({distilled.reason})")
     if "face" not in options.without:
-        avatar = faced(avatar, run.subject, clock)
+        avatar = faced(avatar, run.subject, videos.own_face if videos else None, clock)
     return written(avatar, out, facts, options, clock)
 
 
@@ -223,15 +224,16 @@ def written(avatar: Avatar, out: Path, facts: Facts, options: BakeOptions, clock
     return avatar
 
 
-def faced(avatar: Avatar, subject: CaptureSubject, clock: "_Clock") -> Avatar:
-    """The avatar with a face that moves, where its template and its surface have what that takes."""
+def faced(avatar: Avatar, subject: CaptureSubject, own: OwnFace | None, clock: "_Clock") -> Avatar:
+    """The avatar with a face that moves, where its template and its surface have what that takes; its own as far as a
+    film of it said."""
     try:
-        found = with_face(avatar.levels, person_face(subject))
+        found = with_face(avatar.levels, person_face(subject), own)
     except FaceRefused as why:
         clock.report(f"face: stays still, {why}")
         return avatar
     moving = [len(level.face.vertices) for level in found.levels if level.face is not None]
-    clock(f"face: moves {' / '.join(map(str, moving))} vertices")
+    clock(f"face: moves {' / '.join(map(str, moving))} vertices{', as its film says' if own else ''}")
     return replace(avatar, levels=tuple(found.levels), eyes=found.eyes)
 
 

@@ -11,6 +11,7 @@ from avatar.light import CaptureLight
 from bake.promises import Facts
 from capture.fit.refine import with_refined
 from capture.folder import Capture, PartVideo, read_capture
+from capture.own_face import OwnFace
 from command.errors import AssetError
 from train.run import lights_of, matrix_of
 from train.session import capture_digest
@@ -33,6 +34,7 @@ class RunVideos:
     chin: float | None
     # how the person sat under the head was found as well
     trunk: bool
+    own_face: OwnFace | None = None
 
     def video(self, part: str) -> PartVideo:
         """One video, in the poses that training ended with; one at a time, for they are large."""
@@ -68,6 +70,7 @@ def run_videos(path: Path, facts: Facts, given: Path | None) -> RunVideos:
     videos = RunVideos(
         folder, path if same else None, matrix_of(path, facts, "head_from_canonical"), lights_of(path, facts),
         estimated, capture.chin if estimated else None, capture.videos["head"].trunk is not None,
+        capture.own_face,
     )  # fmt: skip
     if not same:
         _check_head(videos, capture, path)

@@ -18,6 +18,7 @@ from avatar.motion.amass import read_video_poses
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from capture.frame_files import FrameFiles, Frames, sized_picture
+from capture.own_face import OwnFace, read_own_face
 from capture.videos import Videos
 from command.errors import AssetError
 from command.workers import on_all_cores
@@ -114,6 +115,7 @@ class Capture:
     subject: CaptureSubject
     # by part, those that were read; from a folder one at a time (capture/videos.py)
     videos: Mapping[str, PartVideo]
+    own_face: OwnFace | None = None  # what a film of the face said
 
     @property
     def chin(self) -> float | None:
@@ -150,7 +152,7 @@ def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS, frames_on_de
     # all of them are checked, though they may not all be kept
     for part in parts:
         _check_distance(path / part, videos[part])
-    return Capture(path, facts, subject, videos)
+    return Capture(path, facts, subject, videos, read_own_face(path))
 
 
 def read_capture_facts(capture: Path) -> dict:

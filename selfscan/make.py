@@ -54,7 +54,7 @@ class MakeCommand:
     reading: Annotated[FilmOptions, "how the films are read"]
     films: Annotated[tuple[Path, ...], Option(positional=True, metavar="FILMS", several=True),
         "body, head, left and right hand, in this order, the body alone, or a folder with body.mp4 and any of "
-        "head.mp4, left.mp4 and right.mp4"] = ()
+        "head.mp4, left.mp4 and right.mp4; and face.mp4, where you say ah, smile, move brows and blink"] = ()
     camera: Annotated[str | None, Option(metavar="CAMERA", const=""),
         "film them now with a webcam, the first one or the one of this name or number, into NAME.films; a window shows "
         "where to stand and what to do, and films that are there are kept"] = None
@@ -95,9 +95,10 @@ def claim(wanted: MakeCommand) -> None:
     Raises:
         AssetError: it is of others, or the films are not told apart.
     """
-    from capture.raw.four_videos import find_videos
+    from capture.raw.four_videos import face_film, find_videos
 
-    films = [[str(film.resolve()), film.stat().st_size] for film in find_videos(wanted.films).values()]
+    named, face = find_videos(wanted.films), face_film(wanted.films)
+    films = [[str(film.resolve()), film.stat().st_size] for film in (*named.values(), *([face] if face else []))]
     asked = {"films": films, "reading": words_of(wanted.reading)}
     note = wanted.work / "make.json"
     if not is_free(wanted.work) and os.listdir(wanted.work) != [note.name]:

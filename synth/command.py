@@ -24,7 +24,7 @@ from synth.options import RawConfig, SynthConfig
 from synth.people.body import built_in
 from synth.people.person import person
 from synth.photo import Studio
-from synth.raw.film import FILES, MASK_STEP, film_raw, mistakes_of
+from synth.raw.film import FACE_FILE, FILES, MASK_STEP, film_raw, mistakes_of
 from synth.raw.film import RATE as RAW_RATE
 from synth.subject import SynthSubject, read_subject
 from synth.template import RegisteredTemplate, register, shape_only
@@ -100,7 +100,7 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
         write_json(folder / "truth" / "raw.json", said)
     for part, shots in plan.items():
         width, height = shots.camera.size
-        print(f"{FILES[part]}: {plural(len(shots.root), 'frame')} of {width} x {height} px")
+        print(f"{FILES.get(part, FACE_FILE)}: {plural(len(shots.root), 'frame')} of {width} x {height} px")
     return facts
 
 

@@ -40,6 +40,9 @@ class RawConfig:
 
     raw: Annotated[bool, "four videos as a phone writes them, and nothing else; the truth apart in OUT/truth"] = False
     keypoints: Annotated[bool, "with --raw: OpenPose's keypoints of every frame, with a detector's mistakes"] = False
+    face_film: Annotated[bool,
+        "with --raw: a fifth film, face.mp4, of a built-in person who says ah, smiles, moves brows, blinks, looks aside"
+        ] = False
     held_out: Annotated[bool,
         "with --raw: film the 120 held-out pictures too, which selfscan eval measures against"] = False
     seconds: Annotated[float, AtLeast(1), AtMost(600), Option(metavar="S"),

@@ -38,10 +38,14 @@ class Studio:
         self.face_part = subject.part[subject.faces[:, 0]]
         self.lighting = RoomLighting(rasteriser, subject.faces, self.welded)
 
-    def posed(self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"]) -> Float[Array, "vertices 3"]:
+    def posed(
+        self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], moved: Float[Array, "vertices 3"] | None = None
+    ) -> Float[Array, "vertices 3"]:
+        """The vertices in a pose; `moved`: how far they are off their places in pose 0 before it."""
         joints = self.subject.joints.astype(np.float64)
         transforms = skin_transforms(axis_angle, joints, root, rest=np.zeros((52, 3)))
-        return skin_points(self.subject.vertices, self.subject.skin, transforms)
+        places = self.subject.vertices if moved is None else self.subject.vertices + moved
+        return skin_points(places, self.subject.skin, transforms)
 
     def take(self, vertices: Float[Array, "vertices 3"], camera: Camera, light: FilmLight, sheen: float) -> Photo:
         """A picture of posed vertices."""

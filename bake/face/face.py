@@ -22,8 +22,10 @@ from bake.face.features import aligned
 from bake.face.follow import following
 from bake.face.lips import LipLine, cut_lips, lip_line
 from bake.face.mouth import Mouth, coarser, mouth_behind, mouth_picture
+from bake.face.own import with_own_face
 from bake.face.strip import LEFT_EYE, MOUTH, RIGHT_EYE, StripPart, size_in, uv_in, with_strip
 from bake.face.template import FaceRefused, PersonFace
+from capture.own_face import OwnFace
 from geometry.mesh import vertex_normals
 
 # levels, from the finest on, whose triangles are fine enough for lips and lids: how much longer edges are there
@@ -88,13 +90,16 @@ class Parted(NamedTuple):
     lower: Integer[Array, "cut"]
 
 
-def with_face(levels: Sequence[Level], person: PersonFace) -> Faced:
-    """The levels of a finished avatar, finest first, as many of them with a face as COARSE has.
+def with_face(levels: Sequence[Level], person: PersonFace, own: OwnFace | None = None) -> Faced:
+    """The levels of a finished avatar, finest first, as many of them with a face as COARSE has; `own`: what a film of
+    the face said.
 
     Raises:
         FaceRefused: this surface takes none; the sentence says why.
     """
     person = aligned(person, levels[0])
+    if own is not None:
+        person = with_own_face(person, own, levels[0])
     line, out = lip_line(person), list(levels)
     pictures: Pictures = {}
     eyes: list[Eye] = []

@@ -1,7 +1,7 @@
 """What lies behind the lips: inside of the mouth, sewn to both edges of the cut, teeth and tongue, and their picture.
 
-The inside is sewn to the lips, vertex by vertex, so that no shape can open a gap between them. Its colors are painted:
-no video shows it. Light falls off with the depth behind the lips.
+The inside is sewn to the lips, vertex by vertex, so that no shape can open a gap between them. Its colors are painted,
+and tinted where a film of the face shows it. Light falls off with the depth behind the lips.
 """
 
 from dataclasses import replace
@@ -16,7 +16,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from avatar.face_template import BODY
-from bake.face.template import PersonFace
+from bake.face.template import MouthTint, PersonFace
 from bake.texture.texels import barycentric, rasterise_charts, spread
 from geometry.mesh import blended, half_edges
 
@@ -177,15 +177,15 @@ def mouth_picture(person: PersonFace, mouth: Mouth, size: tuple[int, int]) -> Fl
     light = (NIGHT + (1 - NIGHT) * np.exp(-np.maximum(depth - LIT, 0) / DARK))[:, None]
     color = np.empty((len(points), 3))
     own = part < 0
-    color[own] = mixed(DEEP, FLESH, np.exp(-depth[own] / 0.012))
+    color[own] = person.tint.red * mixed(DEEP, FLESH, np.exp(-depth[own] / 0.012))
     uv = blended(mouth.uv, corners, weight)
     for number, widths in enumerate((UPPER_WIDTHS, LOWER_WIDTHS)):
         own = part == number
         low, high = (f(uv[own], axis=0) for f in (np.min, np.max))
-        color[own] = teeth_colors((uv[own] - low) / (high - low), widths) * light[own]
+        color[own] = teeth_colors((uv[own] - low) / (high - low), widths, person.tint) * light[own]
     own = part == 2
     groove = np.exp(-np.square((points[own, 0] - np.median(points[own, 0])) / 0.0015))[:, None]
-    color[own] = np.array(TONGUE) * (1 - 0.15 * groove) * np.sqrt(light[own])
+    color[own] = person.tint.red * np.array(TONGUE) * (1 - 0.15 * groove) * np.sqrt(light[own])
     image = spread(color / 255, texels)[:height]
     return ndimage.gaussian_filter(image, (0.4, 0.4, 0))
 
@@ -195,7 +195,7 @@ def mixed(low: tuple[int, int, int], high: tuple[int, int, int], share: Float[Ar
     return (1 - share[:, None]) * np.array(low) + share[:, None] * np.array(high)
 
 
-def teeth_colors(uv: Float[Array, "n 2"], widths: tuple[float, ...]) -> Float[Array, "n 3"]:
+def teeth_colors(uv: Float[Array, "n 2"], widths: tuple[float, ...], tint: MouthTint) -> Float[Array, "n 3"]:
     """Teeth in their gum: u along the arch, v from the outer gum over the edge to the inner one."""
     ends = np.cumsum(widths)
     along = np.abs(2 * uv[:, 0] - 1) * ends[-1]
@@ -211,4 +211,4 @@ def teeth_colors(uv: Float[Array, "n 2"], widths: tuple[float, ...]) -> Float[Ar
     # dark between them, wider at the edge, where their corners are round
     gap = np.clip((np.abs(across) - (0.96 - 0.10 * np.clip(height - 0.8, 0, 1) * 5)) / 0.05, 0, 1)
     color = (1 - gap[:, None]) * color + gap[:, None] * np.array(GAP)
-    return (1 - of_tooth[:, None]) * np.array(GUM) + of_tooth[:, None] * color
+    return (1 - of_tooth[:, None]) * (tint.red * np.array(GUM)) + of_tooth[:, None] * (tint.teeth * color)

@@ -31,6 +31,13 @@ class FaceRefused(Exception):
     """This person gets no face; the sentence says why."""
 
 
+class MouthTint(NamedTuple):
+    """Factors of what is painted behind the lips, red, green and blue."""
+
+    teeth: Float[Array, "3"]
+    red: Float[Array, "3"]
+
+
 class PersonFace(NamedTuple):
     """The built-in face on one person, canonical, metres."""
 
@@ -44,6 +51,7 @@ class PersonFace(NamedTuple):
     eyes: EyeSpheres
     # the surface shows the balls between the lids; else eyes are painted on a surface that goes on
     filmed: bool = True
+    tint: MouthTint = MouthTint(np.ones(3), np.ones(3))
 
 
 def person_face(subject: CaptureSubject) -> PersonFace:

@@ -8,8 +8,9 @@ from capture.check.report import CaptureReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
 from capture.check.verdict import verdict
 from capture.folder import Capture, read_capture
-from capture.raw.four_videos import examine_videos, found_lines, holds_videos, unfilmed_lines
+from capture.raw.four_videos import examine_videos, face_film, find_videos, found_lines, holds_videos, unfilmed_lines
 from capture.raw.judge import Verdict, verdict_of
+from capture.read.face_film import open_face_film, shown_line
 from capture.videos import even
 from command.errors import AssetError
 from files.whole import check_file, check_folder, whole_file, write_json
@@ -50,6 +51,10 @@ def _check_videos(arguments: CheckCommand) -> int:
     videos = examine_videos(arguments.capture, arguments.keypoints)
     judged = verdict_of(replace(p, part=at.glance.video.name) for at in videos.values() for p in at.problems)
     found = [*(at.line() for at in videos.values()), *found_lines(videos), *unfilmed_lines(videos)]
+    face = face_film(arguments.capture)
+    if face is not None:
+        folder = arguments.keypoints or find_videos(arguments.capture)["body"].parent / "keypoints"
+        found.append(shown_line(open_face_film(face, folder, videos["body"].glance.keypoints.order)))
     print("\n".join([*found, "", *judged.lines()]))
     facts = {part: at.facts() for part, at in videos.items()}
     _write_facts(arguments, {"videos": facts, "usable": judged.usable, "verdict": judged.line()})

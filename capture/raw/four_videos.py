@@ -24,6 +24,8 @@ from files.whole import whole_file
 NAMES = {
     "body": ("body",), "head": ("head",), "hand_left": ("hand_left", "left"), "hand_right": ("hand_right", "right"),
 }  # fmt: skip
+# the same of the film of a face, which is no part's
+FACE_FILM = "face"
 # a part's height over that of the box round a person's keypoints
 SHARES = {"head": 0.14, "hand_left": 0.11, "hand_right": 0.11}
 ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".webm")
@@ -44,27 +46,34 @@ def named_parts(films: Sequence[Path]) -> dict[str, Path]:
     return {part: found[part] for part in PARTS if part in found}
 
 
+def face_film(paths: Sequence[Path]) -> Path | None:
+    """The film of a face among films, or in their folder; None: there is none."""
+    films = films_in(paths[0]) if len(paths) == 1 and paths[0].is_dir() else paths
+    return next((path for path in films if path.stem.lower() == FACE_FILM), None)
+
+
 def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
     """The videos by part: the body's alone; four files in the order body, head, left, right; two or three that are
-    called so; or a folder that holds the body's and any of the others, or one film alone.
+    called so; or a folder that holds the body's and any of the others, or one film alone. A film of a face is left out.
 
     Raises:
         AssetError: the body's is missing, a name says no part, or two files are one film.
     """
+    face = face_film(paths)
     if len(paths) == 1 and paths[0].is_dir():
-        films = films_in(paths[0])
+        films = [film for film in films_in(paths[0]) if film != face]
         out = {PARTS[0]: films[0]} if len(films) == 1 and not named_parts(films) else named_parts(films)
         if "body" not in out:
             raise AssetError(f"{paths[0]}: expected body.mp4, and head.mp4, left.mp4, right.mp4 as far as "
                              f"filmed, found {', '.join(p.name for p in films) or 'no film'}")  # fmt: skip
-    elif len(paths) in (1, len(PARTS)):
-        out = {str(part): path for part, path in zip(PARTS, paths)}
+    elif len(films := [path for path in paths if path != face]) in (1, len(PARTS)):
+        out = {str(part): path for part, path in zip(PARTS, films)}
     else:
-        out = named_parts(paths)
-        if "body" not in out or len(out) < len(paths):
+        out = named_parts(films)
+        if "body" not in out or len(out) < len(films):
             found = ", ".join(path.name for path in paths)
             raise AssetError(f"expected BODY HEAD LEFT RIGHT, or files called body, head, left, right; found {found}")
-    for a, b in combinations(out.values(), 2):
+    for a, b in combinations([*out.values(), *([face] if face else [])], 2):
         if a.is_file() and b.is_file() and filecmp.cmp(a, b, shallow=False):
             raise AssetError(f"{b}: is the same film as {a}; leave it out: what is missing is cut from the body's")
     return out
@@ -109,7 +118,7 @@ def part_keypoints(folder: Path, part: str, video: VideoFile, like: str = "") ->
     Raises:
         AssetError: there are none, or they are of pictures of another size.
     """
-    for name in NAMES[part]:
+    for name in NAMES.get(part, (part,)):
         for path in (folder / name, folder / f"{name}.json"):
             if path.exists():
                 found = read_keypoints(path, size=video.size, frames=video.frames, like=like)

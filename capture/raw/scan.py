@@ -92,3 +92,9 @@ class FittedScan:
     landmarks: Mapping[str, tuple[Float[Array, "3"], int]]
     # what was assumed or left out, one line each
     notes: tuple[str, ...] = ()
+
+    @property
+    def focal(self) -> float:
+        """The phone's focal length, in shorter sides of its pictures."""
+        camera = self.videos["body"].cameras[0]
+        return float(camera.K[0, 0]) / min(camera.size)

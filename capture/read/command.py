@@ -78,7 +78,8 @@ class VideoCommand:
     videos: Annotated[
         tuple[Path, ...],
         Option(positional=True, metavar="BODY HEAD LEFT RIGHT", several=True),
-        "the four videos, the body's alone, or a folder with body.mp4 and any of head.mp4, left.mp4 and right.mp4",
+        "the four videos, the body's alone, or a folder with body.mp4 and any of head.mp4, left.mp4 and right.mp4; and "
+        "face.mp4, where you say ah, smile, move brows and blink",
     ]
     out: Annotated[Path, Option(("-o", "--out"), "OUT"), "capture folder to write"]
     reading: Annotated[FilmOptions, "how the films are read"]
@@ -115,7 +116,7 @@ marked, masks. Folders: docs/capture.md.""",
 
 
 def _detect(folder: Path, files: dict[str, Path], models: dict[str, Path]) -> None:
-    """Keypoints of the videos by MediaPipe, a file each; those that are there are not found again."""
+    """Keypoints of videos by MediaPipe, a file each; those that are there are not found again."""
     videos = {part: open_video(path) for part, path in files.items()}
     folder.mkdir(exist_ok=True)
     for part, video in videos.items():
@@ -127,12 +128,12 @@ def _detect(folder: Path, files: dict[str, Path], models: dict[str, Path]) -> No
 
 def _import_video(command: VideoCommand) -> list[str]:
     from capture.fit.scan import fit_scan
-    from capture.raw.four_videos import KEYPOINTS, find_videos
+    from capture.raw.four_videos import FACE_FILM, KEYPOINTS, face_film, find_videos
     from capture.read.video import VideoImport, import_video
 
     reading = command.reading
     check_folder(command.out)
-    files = find_videos(command.videos)
+    files, face = find_videos(command.videos), face_film(command.videos)
     beside = files["body"].parent / "keypoints"
     if reading.keypoints != "auto":
         keypoints = Path(reading.keypoints)
@@ -145,9 +146,9 @@ def _import_video(command: VideoCommand) -> list[str]:
             raise AssetError(f"{beside}: expected {KEYPOINTS}, found no such folder; {error}; "
                              "`selfscan make` lets you click them") from None  # fmt: skip
         keypoints = command.out.with_name(command.out.name + ".keypoints")
-        _detect(keypoints, files, models)
+        _detect(keypoints, files | ({FACE_FILM: face} if face else {}), models)
     masks = None if reading.masks == "auto" else Path(reading.masks)
-    given = VideoImport(files, keypoints, masks, reading.frames, reading.focal)
+    given = VideoImport(files, keypoints, masks, reading.frames, reading.focal, face)
     return import_video(given, command.out, lambda scan: fit_scan(scan, sex=reading.sex, stature=reading.stature))
 
 

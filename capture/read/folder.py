@@ -12,6 +12,7 @@ from avatar.camera import Camera, project, write_cameras
 from avatar.skeleton import PARTS, joint_transforms
 from capture.folder import read_capture
 from capture.frame_files import sized_picture
+from capture.own_face import OWN_FACE, OwnFace
 from capture.read.template import TemplateMesh, write_template
 from command.errors import AssetError
 from command.progress import Progress
@@ -47,9 +48,10 @@ class SourceVideo:
 
 
 def write_capture(
-    out: Path, template: TemplateMesh, videos: dict[str, SourceVideo], landmarks: dict, facts: dict
-) -> None:
-    """Write the capture folder, read it back, and only then let it appear at `out`.
+    out: Path, template: TemplateMesh, videos: dict[str, SourceVideo], landmarks: dict, facts: dict,
+    own: OwnFace | None = None,
+) -> None:  # fmt: skip
+    """Write the capture folder, with what a film of a face said, read it back, and only then let it appear at `out`.
 
     Raises:
         AssetError: a picture cannot be read or has another size than its camera; a mask is absent or shows no
@@ -60,6 +62,8 @@ def write_capture(
     report, done = Progress("import", sum(len(video.images) for video in videos.values())), 0
     with whole_folder(out) as folder:
         write_template(folder / "subject.npz", template)
+        if own is not None:
+            write_json(folder / OWN_FACE, own.json())
         for part in PARTS:
             video = videos[part]
             for kind in ("images", "masks"):

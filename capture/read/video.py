@@ -17,6 +17,7 @@ from avatar.motion.clip import spread_frames
 from avatar.skeleton import PARTS
 from capture.frame_files import sized_picture, write_picture
 from capture.keypoints.record import Keypoints
+from capture.own_face import OwnFace
 from capture.raw.four_videos import NAMES, all_keypoints, found_lines, judge_videos
 from capture.raw.glance import Glance
 from capture.raw.judge import Judged, refusal
@@ -26,6 +27,7 @@ from capture.raw.scan import FittedScan, RawScan, RawVideo
 from capture.raw.selection import KeptFrames, select
 from capture.raw.video_file import open_video, read_frames
 from capture.read.close_up import PartMasks
+from capture.read.face_film import open_face_film, own_face
 from capture.read.folder import SourceVideo, pictures_in, write_capture
 from capture.read.from_body import cut_close_up
 from command.errors import AssetError
@@ -49,6 +51,7 @@ class VideoImport:
     masks: Path | None = None
     frames: int = 60  # most of each video
     focal: float | None = None  # pixels; None: solved
+    face: Path | None = None  # film of a face
 
 
 def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
@@ -60,6 +63,7 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
     check_folder(out)
     videos = {part: open_video(path) for part, path in given.videos.items()}
     keypoints = all_keypoints(given.keypoints, videos)
+    face = None if given.face is None else open_face_film(given.face, given.keypoints, keypoints["body"].order)
     work = _work_folder(out, given)
     judged = judge_videos(videos, keypoints, work)
     why = refusal(judged)
@@ -76,7 +80,11 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
     board = ProgressBoard({part: len(kept.frames) for part, kept in chosen.items()}, workers)
     scan = RawScan(run_jobs(jobs, _prepared, board, workers))
     fitted = fit(scan)
-    _write(out, scan, fitted, work, given, notes)
+    own = None
+    if face is not None:
+        own, said = own_face(face, fitted.template.vertices, fitted.focal)
+        notes += said
+    _write(out, scan, fitted, work, given, notes, own)
     shutil.rmtree(work)
     return [*notes, *fitted.notes]
 
@@ -84,7 +92,7 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
 def _work_folder(out: Path, given: VideoImport) -> Path:
     """OUT.partial, emptied if it belongs to other input."""
     work = out.with_name(out.name + ".partial")
-    files = [*given.videos.values(), given.keypoints, *([given.masks] if given.masks else [])]
+    files = [*given.videos.values(), given.keypoints, *(path for path in (given.masks, given.face) if path)]
     stamp = {
         "files": [[str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns] for path in files],
         "frames": given.frames,
@@ -179,7 +187,9 @@ def _grey(path: Path, size: tuple[int, int]) -> np.ndarray:
     return stored[..., 0]
 
 
-def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: VideoImport, notes: list[str]) -> None:
+def _write(
+    out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: VideoImport, notes: list[str], own: OwnFace | None
+) -> None:
     videos, numbers = {}, {}
     for part in PARTS:
         film = given.videos.get(part, given.videos["body"])
@@ -218,4 +228,4 @@ def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: Vide
         "filmed": list(scan.videos), "frame_numbers": numbers,
         "notes": [*notes, *fitted.notes],
     }  # fmt: skip
-    write_capture(out, fitted.template, videos, landmarks, facts)
+    write_capture(out, fitted.template, videos, landmarks, facts, own)

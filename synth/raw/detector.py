@@ -5,6 +5,7 @@ the joint is), outliers, sides exchanged for a few frames, and confidences that 
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,12 +80,16 @@ class Detector:
         self.exchanged_for = 0
 
     def look(
-        self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], vertices: Float[Array, "vertices 3"]
-    ) -> Float[Array, "points 3"] | None:
-        """x, y (the middle of the first pixel is .5) and confidence of every point; None: no person is found."""
+        self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], vertices: Float[Array, "vertices 3"],
+        moved: Mapping[str, Float[Array, "3"]] | None = None,
+    ) -> Float[Array, "points 3"] | None:  # fmt: skip
+        """x, y (the middle of the first pixel is .5) and confidence of every point; None: no person is found.
+        `moved`: how far some are off their places in pose 0."""
         G = joint_transforms(axis_angle, self.subject.joints.astype(np.float64), root)
+        off, still = moved or {}, np.zeros(3)
         at = np.stack([
-            G[list(point.joints), :3, 3].mean(0) + G[point.joints[0], :3, :3] @ (point.offset + bias)
+            G[list(point.joints), :3, 3].mean(0)
+            + G[point.joints[0], :3, :3] @ (point.offset + bias + off.get(point.name, still))
             for point, bias in zip(self.points, self.bias, strict=True)
         ])  # fmt: skip
         pixels, depth = project(self.camera, at)

@@ -11,19 +11,22 @@ from PIL import Image
 from avatar.camera import project
 from avatar.skeleton import PARTS
 from command.progress import progress
+from files.whole import write_json
 from player.film.encoder import X264, encode
 from synth.film import write_frames
 from synth.light import FilmLight
 from synth.options import RawConfig
 from synth.photo import Studio
+from synth.raw.acting import Acting, acting
 from synth.raw.backdrop import Backdrop, backdrop
 from synth.raw.detector import Detector, Mistakes
-from synth.raw.movement import RawShots, plan_raw_video
+from synth.raw.movement import RawShots, plan_face_film, plan_raw_video
 from synth.raw.phone import phone_of
 from synth.room import Room, VertexLight
 
 # what the files are called
 FILES = {"body": "body.mp4", "head": "head.mp4", "hand_left": "left.mp4", "hand_right": "right.mp4"}
+FACE_FILE = "face.mp4"
 RATE = 30.0
 # seconds between poses for which light in a room is found; between them it is interpolated
 LIGHT_STEP = 0.5
@@ -39,19 +42,32 @@ def film_raw(folder: Path, studio: Studio, lights: dict[str, FilmLight], size: i
     """Write the four videos, their keypoints and, in truth/, what is hidden from other stages; returns the shots."""
     wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
     plan = {part: plan_raw_video(studio, part, wide, config.seconds, RATE, config.sway, seed) for part in PARTS}
+    face = plan_face_film(studio, wide, config.seconds, RATE, config.sway, seed) if config.face_film else None
+    acts = face and acting(studio.subject, len(face.root), seed)
     for number, (part, shots) in enumerate(plan.items()):
-        truth = folder / "truth" / part
-        (truth / "masks").mkdir(parents=True)
         frames = _frames(folder, studio, shots, lights[part], config, [seed, number])
-        frames = progress(frames, f"filming {part}", len(shots.root))
-        encode(str(folder / FILES[part]), ".mp4", X264, frames, wide, RATE)
-        write_frames(truth / "video.npz", shots.axis_angle, shots.root, shots.camera, shots.present)
+        _write(folder, FILES[part], shots, frames)
+    if face is not None and acts is not None:
+        actor = Studio(studio.rasteriser, acts.subject, studio.supersample)
+        frames = _frames(folder, actor, face, lights["head"], config, [seed, len(PARTS)], acts)
+        _write(folder, FACE_FILE, face, frames)
+        write_json(folder / "truth" / "face" / "face.json", acts.truth)
+        plan["face"] = face
     return plan
 
 
+def _write(folder: Path, name: str, shots: RawShots, frames: Iterator[UInt8[Array, "height width 4"]]) -> None:
+    truth = folder / "truth" / shots.part
+    (truth / "masks").mkdir(parents=True)
+    frames = progress(frames, f"filming {shots.part}", len(shots.root))
+    encode(str(folder / name), ".mp4", X264, frames, shots.camera.size, RATE)
+    write_frames(truth / "video.npz", shots.axis_angle, shots.root, shots.camera, shots.present)
+
+
 def _frames(
-    folder: Path, studio: Studio, shots: RawShots, light: FilmLight, config: RawConfig, seed: list[int]
-) -> Iterator[UInt8[Array, "height width 4"]]:
+    folder: Path, studio: Studio, shots: RawShots, light: FilmLight, config: RawConfig, seed: list[int],
+    acts: Acting | None = None,
+) -> Iterator[UInt8[Array, "height width 4"]]:  # fmt: skip
     """One video, RGBA; keypoints and masks are written by the way."""
     count, part = len(shots.root), shots.part
     behind = backdrop(shots.camera, shots.floor, part != "body", seed[0])
@@ -60,15 +76,15 @@ def _frames(
     points = folder / "keypoints" / part
     if config.keypoints:
         points.mkdir(parents=True)
-    lighting = _Lighting(studio, shots, light)
+    lighting = _Lighting(studio, shots, light, acts)
     frame = np.full((*shots.camera.size[::-1], 4), 255, np.uint8)
     for i in range(count):
         picture, coverage, found = behind.picture, None, None
         if shots.present[i]:
-            vertices = studio.posed(shots.axis_angle[i], shots.root[i])
+            vertices = studio.posed(shots.axis_angle[i], shots.root[i], acts and acts.vertices(i))
             picture, coverage = taken(studio, shots, behind, vertices, i, light, lighting.at(i))
             if config.keypoints:
-                found = detector.look(shots.axis_angle[i], shots.root[i], vertices)
+                found = detector.look(shots.axis_angle[i], shots.root[i], vertices, acts and acts.named(i))
         if config.keypoints:
             detector.write(points / f"{part}_{i:012d}_keypoints.json", found)
         if i % MASK_STEP == 0:
@@ -109,8 +125,8 @@ class _Lighting:
     """Light in a room for each frame: found for steady poses some way apart, so that the body's own openness serves
     every heading, and interpolated."""
 
-    def __init__(self, studio: Studio, shots: RawShots, light: FilmLight):
-        self.studio, self.shots, self.light = studio, shots, light
+    def __init__(self, studio: Studio, shots: RawShots, light: FilmLight, acts: Acting | None = None):
+        self.studio, self.shots, self.light, self.acts = studio, shots, light, acts
         self.step = round(LIGHT_STEP * RATE)
         self.known: dict[int, VertexLight] = {}
 
@@ -130,7 +146,8 @@ class _Lighting:
             assert isinstance(self.light, Room)
             i = min(number * self.step, len(self.shots.root) - 1)
             # where it stands says nothing: lights are far off
+            moved = self.acts and self.acts.vertices(i)
             self.known[number] = self.studio.lighting.on(
-                self.studio.posed(self.shots.steady[i], np.zeros(3)), self.light
+                self.studio.posed(self.shots.steady[i], np.zeros(3), moved), self.light
             )
         return self.known[number]

@@ -21,7 +21,9 @@ from synth.subject import SynthSubject
 # seconds without the person, and of stepping in
 EMPTY, ENTERING = 1.0, 1.4
 # metres between the camera and what fills its picture
-NEAR = {"head": 0.75, "hand_left": 0.55, "hand_right": 0.55}
+NEAR = {"head": 0.75, "hand_left": 0.55, "hand_right": 0.55, "face": 0.5}
+# of the turns' seconds what the film of a face takes, and its least, seconds
+FACE_SHARE, FACE_LEAST = 0.5, 4.0
 # degrees: standard deviation of what a joint keeps throughout, and of what comes and goes
 HABIT = {
     "shoulder": 4, "elbow": 4, "wrist": 4, "hip": 1.5, "knee": 1.5, "spine": 1, "neck": 1.5, "head": 2, "collar": 1.5,
@@ -82,6 +84,23 @@ def plan_raw_video(
         camera = Camera(camera.K, look_at([0.0, 0.04, NEAR[part]], np.zeros(3)), size)
         floor = -1.3
     return RawShots(part, poses, root, steady, camera, times >= EMPTY, floor)
+
+
+def plan_face_film(
+    studio: Studio, size: tuple[int, int], seconds: float, rate: float, sway: float, seed: int
+) -> RawShots:
+    """The film of a face, whose person sits before the camera and looks into it; `seconds`: of the others' turns."""
+    subject = studio.subject
+    times = np.arange(round(max(FACE_LEAST, FACE_SHARE * seconds) * rate)) / rate
+    rest, here = np.zeros_like(times), np.ones_like(times)
+    steady = _steady_poses(subject.joints.astype(np.float64), "head", rest, here)
+    steady[:, [JOINTS.index("neck"), JOINTS.index("head")]] = 0
+    wander = Wander([seed, len(PARTS), 31], times)
+    poses = _swayed(steady, wander, sway)
+    root = _place(subject, "head", poses, rest, here) + sway * STEP * wander.draw(3)
+    K = _body_camera(studio, size).K
+    camera = Camera(K, look_at([0.0, 0.0, NEAR["face"]], np.zeros(3)), size)
+    return RawShots("face", poses, root, steady, camera, here > 0, -1.3)
 
 
 def _body_camera(studio: Studio, size: tuple[int, int]) -> Camera:
