@@ -34,7 +34,8 @@ class RunVideos:
     chin: float | None
     # how the person sat under the head was found as well
     trunk: bool
-    own_face: OwnFace | None = None
+    # what a film of the face said; None: there was none
+    own_face: OwnFace | None
 
     def video(self, part: str) -> PartVideo:
         """One video, in the poses that training ended with; one at a time, for they are large."""

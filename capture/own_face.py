@@ -16,12 +16,12 @@ from avatar.face import SHAPES
 from command.errors import AssetError
 from files.input_file import one_line, read_json_object
 
-# what the 68 points of a face can tell, in the order in which a film shows it
-TOLD = (
+# the shapes that the 68 points of a face determine, in the order in which a film shows them
+FITTED = (
     "jawOpen", "mouthSmileLeft", "mouthSmileRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight",
     "browDownLeft", "browDownRight", "eyeBlinkLeft", "eyeBlinkRight",
 )  # fmt: skip
-NUMBERS = [SHAPES.index(name) for name in TOLD]
+NUMBERS = [SHAPES.index(name) for name in FITTED]
 OWN_FACE, FORMAT = "face.json", "selfscan-face"
 # what is believed
 GAINS, OFFSETS, COLORS = (0.3, 2.0), (-1.0, 1.0), (0.05, 5.0)
@@ -29,7 +29,7 @@ GAINS, OFFSETS, COLORS = (0.3, 2.0), (-1.0, 1.0), (0.05, 5.0)
 
 @dataclass(frozen=True)
 class OwnFace:
-    gains: Float[Array, "10"]  # of TOLD; 1 where the film does not tell it
+    gains: Float[Array, "10"]  # one for each of FITTED; 1: as built in
     offsets: Float[Array, "10"]
     # colors behind the lips over the skin's; None: no frame shows them
     teeth: Float[Array, "3"] | None = None
@@ -38,7 +38,7 @@ class OwnFace:
     def json(self) -> dict[str, Any]:
         """The content of face.json."""
         shapes = {name: {"gain": round(float(gain), 4), "offset": round(float(offset), 4)}
-                  for name, gain, offset in zip(TOLD, self.gains, self.offsets)}  # fmt: skip
+                  for name, gain, offset in zip(FITTED, self.gains, self.offsets)}  # fmt: skip
         colors = {"teeth": self.teeth, "red": self.red}
         found = {name: color.round(4).tolist() for name, color in colors.items() if color is not None}
         return {"format": FORMAT, "version": 1, "shapes": shapes, "colors": found}
@@ -58,12 +58,12 @@ def read_own_face(capture: Path) -> OwnFace | None:
         found = one_line(f"{content.get('format')!r} version {content.get('version')!r}")
         raise AssetError(f"{path}: expected format '{FORMAT}' version 1, found {found}")
     shapes, colors = (_object(path, content, name) for name in ("shapes", "colors"))
-    strange = sorted({*shapes} - {*TOLD} | {*colors} - {"teeth", "red"})
+    strange = sorted({*shapes} - {*FITTED} | {*colors} - {"teeth", "red"})
     if strange:
-        raise AssetError(f"{path}: expected shapes {', '.join(TOLD)}, colors teeth, red; found {one_line(strange)}")
-    rows = [_object(path, shapes, name) for name in TOLD]
+        raise AssetError(f"{path}: expected shapes {', '.join(FITTED)}, colors teeth, red; found {one_line(strange)}")
+    rows = [_object(path, shapes, name) for name in FITTED]
     read = lambda key, limits: np.array(
-        [_number(path, f"shapes.{name}.{key}", row.get(key), limits) for name, row in zip(TOLD, rows)]
+        [_number(path, f"shapes.{name}.{key}", row.get(key), limits) for name, row in zip(FITTED, rows)]
     )
     tints = [_color(path, name, colors[name]) if name in colors else None for name in ("teeth", "red")]
     return OwnFace(read("gain", GAINS), read("offset", OFFSETS), *tints)

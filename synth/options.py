@@ -88,5 +88,6 @@ def main(argv: Sequence[str]) -> int:
         synth_raw(command.subject, command.out, command.config, command.raw)
     else:
         synth(command.subject, command.out, command.config)
-    print(f"{command.out}: four videos in {time.monotonic() - began:.0f} s")
+    videos = "five" if command.raw.face_film else "four"
+    print(f"{command.out}: {videos} videos in {time.monotonic() - began:.0f} s")
     return 0

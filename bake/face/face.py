@@ -90,16 +90,16 @@ class Parted(NamedTuple):
     lower: Integer[Array, "cut"]
 
 
-def with_face(levels: Sequence[Level], person: PersonFace, own: OwnFace | None = None) -> Faced:
-    """The levels of a finished avatar, finest first, as many of them with a face as COARSE has; `own`: what a film of
+def with_face(levels: Sequence[Level], person: PersonFace, film: OwnFace | None = None) -> Faced:
+    """The levels of a finished avatar, finest first, as many of them with a face as COARSE has; `film`: what one of
     the face said.
 
     Raises:
         FaceRefused: this surface takes none; the sentence says why.
     """
     person = aligned(person, levels[0])
-    if own is not None:
-        person = with_own_face(person, own, levels[0])
+    if film is not None:
+        person = with_own_face(person, film, levels[0])
     line, out = lip_line(person), list(levels)
     pictures: Pictures = {}
     eyes: list[Eye] = []

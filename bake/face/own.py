@@ -15,7 +15,7 @@ from bake.face.template import MouthTint, PersonFace
 from capture.fit.face_film import moving_points
 from capture.fit.mouth_color import CHEEKS
 from capture.keypoints.record import FACE
-from capture.own_face import NUMBERS, TOLD, OwnFace
+from capture.own_face import FITTED, NUMBERS, OwnFace
 
 # metres round the middle of a cheek that its color is taken from
 CHEEK = 0.006
@@ -28,7 +28,7 @@ def with_own_face(person: PersonFace, own: OwnFace, finest: Level) -> PersonFace
     gains = np.ones(len(SHAPES), np.float32)
     gains[NUMBERS] = own.gains
     # what closes an open mouth
-    gains[SHAPES.index("mouthClose")] = own.gains[TOLD.index("jawOpen")]
+    gains[SHAPES.index("mouthClose")] = own.gains[FITTED.index("jawOpen")]
     face = replace(person.face, offsets=person.face.offsets * gains[:, None, None])
     skin = cheek_color(person, finest)
     tint = MouthTint(*(

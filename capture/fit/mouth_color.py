@@ -1,6 +1,6 @@
 """What color teeth, gums and tongue have in the frames of a film in which the mouth is open, beside the skin's.
 
-Between the lips is what is dark, what is red and what is white. The latter two are told apart by blue over red, where
+Between the lips is what is dark, what is red and what is white. The latter two are divided by blue over red, where
 their distribution has two sides (Otsu 1979), whatever the light's color. Of each the lighter half counts: the rest is
 in the shade of the lips, or a mixture.
 """
@@ -46,7 +46,7 @@ def mouth_colors(
         return None, None
     blue = np.log(np.maximum(beside[:, 2], 1e-3) / np.maximum(beside[:, 0], 1e-3))
     white = blue > _divide(blue)
-    if np.median(blue[white]) - np.median(blue[~white]) < np.log(BLUER):
+    if white.all() or not white.any() or np.median(blue[white]) - np.median(blue[~white]) < np.log(BLUER):
         return None, _lighter(beside)
     return _lighter(beside[white]), _lighter(beside[~white])
 

@@ -73,7 +73,8 @@ def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
         if "body" not in out or len(out) < len(films):
             found = ", ".join(path.name for path in paths)
             raise AssetError(f"expected BODY HEAD LEFT RIGHT, or files called body, head, left, right; found {found}")
-    for a, b in combinations([*out.values(), *([face] if face else [])], 2):
+    every = list(out.values()) if face is None else [*out.values(), face]
+    for a, b in combinations(every, 2):
         if a.is_file() and b.is_file() and filecmp.cmp(a, b, shallow=False):
             raise AssetError(f"{b}: is the same film as {a}; leave it out: what is missing is cut from the body's")
     return out

@@ -12,7 +12,7 @@ from avatar.motion.clip import spread_frames
 from capture.fit.face_film import fit_face, gains_of
 from capture.fit.mouth_color import mouth_colors
 from capture.keypoints.record import Keypoints
-from capture.own_face import TOLD, OwnFace
+from capture.own_face import FITTED, OwnFace
 from capture.raw.four_videos import FACE_FILM, part_keypoints
 from capture.raw.video_file import VideoFile, open_video, read_frames
 
@@ -40,16 +40,16 @@ def own_face(film: FaceFilm, vertices: Float[Array, "vertices 3"], focal: float)
     """
     video, focal = film.video, focal * min(film.video.size)
     fit = fit_face(vertices, film.keypoints, video.size, focal, video.name)
-    found, ah = gains_of(fit, video.rate), TOLD.index("jawOpen")
+    found, ah = gains_of(fit, video.rate), FITTED.index("jawOpen")
     rows = np.flatnonzero(found.shown[:, ah] & (not found.why[ah]))
     rows = rows[spread_frames(len(rows), PICTURES)] if len(rows) else rows
     pixels = focal * fit.places[rows, :, :2] / fit.places[rows, :, 2:] + 0.5 * np.array(video.size)
     at = dict(zip(np.flatnonzero(fit.frames)[rows].tolist(), pixels))
     frames = read_frames(video, only=frozenset(at)) if at else ()
     teeth, red = mouth_colors((frame.picture, at[frame.number]) for frame in frames)
-    told = ", ".join(f"{name} {gain:.2f}" for name, gain, why in zip(TOLD, found.gains, found.why) if not why)
-    said = [f"{video.name}: this face goes as far as the built-in one, times: {told or 'no shape is told'}"]
-    said += [f"{video.name}: {name} stays as built in: {why}" for name, why in zip(TOLD, found.why) if why]
+    gains = ", ".join(f"{name} {gain:.2f}" for name, gain, why in zip(FITTED, found.gains, found.why) if not why)
+    said = [f"{video.name}: this face goes as far as the built-in one, times: {gains or 'none is shown'}"]
+    said += [f"{video.name}: {name} stays as built in: {why}" for name, why in zip(FITTED, found.why) if why]
     if teeth is None:
         said.append(f"{video.name}: no open mouth shows teeth: they stay as built in")
     return OwnFace(found.gains, found.offsets, teeth, red), said
@@ -59,7 +59,7 @@ def shown_line(film: FaceFilm) -> str:
     """What a film shows, in words, before the person is known."""
     video = film.video
     fit = fit_face(builtin_body("male").vertices, film.keypoints, video.size, FOCAL * min(video.size), video.name)
-    lacking = ", ".join(name for name, why in zip(TOLD, gains_of(fit, video.rate).why) if why)
+    lacking = ", ".join(name for name, why in zip(FITTED, gains_of(fit, video.rate).why) if why)
     shows = f"not shown: {lacking}: film it again, or they stay as built in" if lacking else "all shapes are shown"
     (width, height), seconds = video.size, len(fit.frames) / video.rate
     return (

@@ -18,7 +18,7 @@ from avatar.face_template import BODY, builtin_face
 from avatar.skeleton import JOINTS, PARTS
 from avatar.skinning import SkinWeights
 from capture.fit.face_film import moving_points
-from capture.own_face import NUMBERS, TOLD
+from capture.own_face import FITTED, NUMBERS
 from capture.template.eyes import fit_sphere
 from command.errors import AssetError
 from synth.people.body import figure
@@ -28,8 +28,8 @@ from synth.subject import SynthSubject
 
 # one after the other, with a rest before each
 ACTS: tuple[dict[str, float], ...] = (
-    {"jawOpen": 1}, {"mouthSmile": 1}, {"browInnerUp": 1, "browOuterUp": 1}, {"browDown": 1}, {"eyeBlink": 1},
-    {"eyeLookOutLeft": 1, "eyeLookInRight": 1}, {"eyeLookInLeft": 1, "eyeLookOutRight": 1},
+    {"jawOpen": 1.0}, {"mouthSmile": 1.0}, {"browInnerUp": 1.0, "browOuterUp": 1.0}, {"browDown": 1.0},
+    {"eyeBlink": 1.0}, {"eyeLookOutLeft": 1.0, "eyeLookInRight": 1.0}, {"eyeLookInLeft": 1.0, "eyeLookOutRight": 1.0},
 )  # fmt: skip
 # shares of an act: the rest before it, and the ways there and back
 REST, WAY = 0.3, 0.15
@@ -42,7 +42,7 @@ HEAD = JOINTS.index("head")
 
 
 @dataclass(frozen=True)
-class Acting:
+class FaceActs:
     """One film of a face. Offsets are metres, in pose 0."""
 
     subject: SynthSubject  # with teeth and tongue
@@ -70,7 +70,7 @@ _TO_THE_LEFT = np.zeros(len(SHAPES))
 _TO_THE_LEFT[[SHAPES.index("eyeLookOutLeft"), SHAPES.index("eyeLookInLeft")]] = 1, -1
 
 
-def acting(person: SynthSubject, frames: int, seed: int) -> Acting:
+def acting(person: SynthSubject, frames: int, seed: int) -> FaceActs:
     """The film of a built-in person's face.
 
     Raises:
@@ -78,7 +78,7 @@ def acting(person: SynthSubject, frames: int, seed: int) -> Acting:
     """
     face, body = builtin_face(), body_of(person.name)
     rng = np.random.default_rng([seed, 71])
-    gains = rng.uniform(*GAINS, len(TOLD))
+    gains = rng.uniform(*GAINS, len(FITTED))
     teeth, red = 1 + SHADE * rng.uniform(-1, 1, (2, 3))
     offsets = face.offsets.astype(np.float64)
     offsets[NUMBERS] *= gains[:, None, None]
@@ -94,8 +94,8 @@ def acting(person: SynthSubject, frames: int, seed: int) -> Acting:
         rows = np.flatnonzero(person.eye & (side * person.vertices[:, 0] > 0))
         eyes.append((rows, fit_sphere(person.vertices[rows].astype(np.float64))[0]))
     colors = {"teeth": (teeth * TOOTH).tolist(), "red": (red * TONGUE).tolist()}
-    truth = {"gains": dict(zip(TOLD, gains.tolist())), **colors}
-    return Acting(subject, shapes, points, weights_of_acts(frames), tuple(eyes), truth)
+    truth = {"gains": dict(zip(FITTED, gains.tolist())), **colors}
+    return FaceActs(subject, shapes, points, weights_of_acts(frames), tuple(eyes), truth)
 
 
 def weights_of_acts(frames: int) -> Float[Array, "frames 52"]:

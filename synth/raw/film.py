@@ -17,7 +17,7 @@ from synth.film import write_frames
 from synth.light import FilmLight
 from synth.options import RawConfig
 from synth.photo import Studio
-from synth.raw.acting import Acting, acting
+from synth.raw.acting import FaceActs, acting
 from synth.raw.backdrop import Backdrop, backdrop
 from synth.raw.detector import Detector, Mistakes
 from synth.raw.movement import RawShots, plan_face_film, plan_raw_video
@@ -66,7 +66,7 @@ def _write(folder: Path, name: str, shots: RawShots, frames: Iterator[UInt8[Arra
 
 def _frames(
     folder: Path, studio: Studio, shots: RawShots, light: FilmLight, config: RawConfig, seed: list[int],
-    acts: Acting | None = None,
+    acts: FaceActs | None = None,
 ) -> Iterator[UInt8[Array, "height width 4"]]:  # fmt: skip
     """One video, RGBA; keypoints and masks are written by the way."""
     count, part = len(shots.root), shots.part
@@ -125,7 +125,7 @@ class _Lighting:
     """Light in a room for each frame: found for steady poses some way apart, so that the body's own openness serves
     every heading, and interpolated."""
 
-    def __init__(self, studio: Studio, shots: RawShots, light: FilmLight, acts: Acting | None = None):
+    def __init__(self, studio: Studio, shots: RawShots, light: FilmLight, acts: FaceActs | None = None):
         self.studio, self.shots, self.light, self.acts = studio, shots, light, acts
         self.step = round(LIGHT_STEP * RATE)
         self.known: dict[int, VertexLight] = {}

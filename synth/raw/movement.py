@@ -22,7 +22,7 @@ from synth.subject import SynthSubject
 EMPTY, ENTERING = 1.0, 1.4
 # metres between the camera and what fills its picture
 NEAR = {"head": 0.75, "hand_left": 0.55, "hand_right": 0.55, "face": 0.5}
-# of the turns' seconds what the film of a face takes, and its least, seconds
+# the film of a face: its length over that of the turns, and its least, seconds
 FACE_SHARE, FACE_LEAST = 0.5, 4.0
 # degrees: standard deviation of what a joint keeps throughout, and of what comes and goes
 HABIT = {

@@ -69,4 +69,4 @@ def videos(context, painted):
             np.tile(pose, (8, 1, 1)) if posed else None, np.zeros((8, 3)) if posed else None, None, None,
         )  # fmt: skip
     renderer.release()
-    return FoundVideos(Path(), None, head_from_canonical, {}, False, None, False, found)
+    return FoundVideos(Path(), None, head_from_canonical, {}, False, None, False, None, found)

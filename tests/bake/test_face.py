@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from face_sheet import IRIS, WHITE, face_sheet
+from face_sheet import IRIS, SKIN, WHITE, face_sheet
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 from tiny_avatar import tiny_avatar
@@ -18,9 +18,11 @@ from bake.face.eyes import CAP, POLAR, cap, disc, eye_axis, iris_picture, polar
 from bake.face.face import COARSE, parted, with_face
 from bake.face.features import PIXEL, ROUND, FrontPicture, aligned, brows_off, darkest_off, with_brow
 from bake.face.lips import STEP, lip_line
-from bake.face.mouth import coarser, zipped
+from bake.face.mouth import TOOTH, coarser, mouth_behind, mouth_picture, zipped
+from bake.face.own import cheek_color, with_own_face
 from bake.face.strip import LEFT_EYE, MOUTH, size_in, uv_in, with_strip
 from bake.face.template import FaceRefused, person_face
+from capture.own_face import FITTED, OwnFace
 from geometry.mesh import face_areas
 
 SHEET = face_sheet()
@@ -279,10 +281,34 @@ def test_an_atlas_too_small_for_the_pictures_gets_no_face():
         with_face([replace(SHEET.level, base_color=SHEET.level.base_color[::4, ::4])], SHEET.person)
 
 
+def test_a_face_goes_as_far_as_its_film_says_and_its_mouth_has_the_films_colors():
+    gains = np.linspace(0.6, 1.3, 10)
+    skin = cheek_color(SHEET.person, SHEET.level)
+    np.testing.assert_allclose(skin, 255 * np.array(SKIN), atol=1.5)
+    own = OwnFace(gains, np.zeros(10), teeth=0.9 * np.array([1.0, 1.0, 0.8]) * TOOTH / skin, red=None)
+    faces = [FACED.levels[0].face, with_face([SHEET.level], SHEET.person, own).levels[0].face]
+    expected = dict(zip(FITTED[:8], gains)) | {"mouthClose": gains[0], "mouthPucker": 1.0}
+    for name, gain in expected.items():
+        before, after = (np.linalg.norm(face.offsets[SHAPES.index(name)], axis=1).max() for face in faces)
+        assert after / before == pytest.approx(gain, abs=0.03), name
+    people = (SHEET.person, with_own_face(SHEET.person, own, SHEET.level))
+    # lids end on lids all the same
+    again = parted(SHEET.level, people[1], lip_line(people[1]))
+    for side, eye in zip(("Left", "Right"), PARTED.opened):
+        low = [each.growing.offsets[SHAPES.index(f"eyeBlink{side}"), eye.loop, 1].min() for each in (PARTED, again)]
+        assert low[1] == pytest.approx(low[0], rel=0.05)
+    at = PARTED.growing.level.positions[PARTED.upper].astype(np.float64)
+    moves = tuple(PARTED.growing.offsets[:, edge] for edge in (PARTED.upper, PARTED.lower))
+    plain, tinted = (mouth_picture(p, mouth_behind(p, at, moves), size_in(MOUTH, 512)).reshape(-1, 3) for p in people)
+    white, red = (plain[:, 2] > 0.85 * plain[:, 0]) & (plain[:, 0] > 0.3), plain[:, 0] > 1.6 * plain[:, 2]
+    np.testing.assert_allclose(np.median(tinted[white] / plain[white], 0), [0.9, 0.9, 0.72], atol=0.02)
+    np.testing.assert_allclose(np.median(tinted[red] / plain[red], 0), 1, atol=1e-9)
+
+
 def test_another_template_gets_no_face_and_the_bake_says_once_why_it_stays_still():
     avatar, lines = tiny_avatar(), []
     other = replace(SHEET.subject, faces=SHEET.subject.faces[:, [1, 2, 0]])
-    assert faced(avatar, other, _Clock(lines.append)) is avatar
+    assert faced(avatar, other, None, _Clock(lines.append)) is avatar
     assert lines == ["face: stays still, its template is not of the built-in body"]
 
 

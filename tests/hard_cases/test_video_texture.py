@@ -84,7 +84,7 @@ def grey() -> tuple[BakedLevel, np.ndarray, FoundVideos]:
     return (
         level_of_file(level),
         np.asarray(avatar.joint_positions),
-        FoundVideos(Path(), None, np.eye(4), {}, False, None, False, videos),
+        FoundVideos(Path(), None, np.eye(4), {}, False, None, False, None, videos),
     )
 
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from capture.fit.points import body_points
 from capture.fit.scan import LANDMARKS, carried, posed_video, template_of
 from capture.folder import read_capture
 from capture.keypoints.record import Keypoints
+from capture.raw.four_videos import face_film, find_videos
 from capture.raw.scan import FittedScan, FittedVideo, RawVideo
 from capture.read.close_up import UNKNOWN, PartMasks
 from capture.read.from_body import LEAST, cut_close_up
@@ -161,6 +163,29 @@ def test_the_command_wants_films_whose_names_say_the_part(filmed_four, tmp_path,
     said = capsys.readouterr().err
     assert said.startswith("selfscan import: expected BODY HEAD LEFT RIGHT, or files called body, head, left, right")
     assert said.count("\n") == 1 and list(tmp_path.iterdir()) == []
+
+
+def test_a_film_of_a_face_is_known_by_its_name_and_is_none_of_the_four(tmp_path):
+    body, head, face = (tmp_path / name for name in ("body.mp4", "head.mp4", "Face.MOV"))
+    for path in (body, head, face):
+        path.write_text(path.name)
+    others = [Path(f"IMG_{k}.mp4") for k in range(4)]
+    for paths in ((tmp_path,), (body, head, face), (face, body, head)):
+        assert find_videos(paths) == {"body": body, "head": head} and face_film(paths) == face
+    assert find_videos((others[0], face)) == {"body": others[0]}
+    assert list(find_videos((face, *others)).values()) == others and face_film(others) is None
+    with pytest.raises(AssetError, match="expected BODY HEAD LEFT RIGHT"):
+        find_videos((face,))
+    face.write_text("body.mp4")
+    with pytest.raises(AssetError, match=r"Face.MOV: is the same film as .*body.mp4"):
+        find_videos((body, head, face))
+
+
+def test_a_film_of_a_face_without_keypoints_stops_before_anything_is_done(filmed_four, tmp_path):
+    face = filmed_four / "head.mp4"
+    with pytest.raises(AssetError, match=r"keypoints/face: expected keypoints .*, found nothing of head.mp4"):
+        import_video(given(filmed_four, face=face), tmp_path / "capture", stand_in)
+    assert list(tmp_path.iterdir()) == []
 
 
 FRAMES, SIZE = 12, 128
