@@ -29,7 +29,7 @@ LIDS, BESIDE = 0.001, 0.004
 BLURS, RADII, ASIDE = (0.0002, 0.0004, 0.0006, 0.0008, 0.001, 0.0013), (0.0054, 0.006, 0.0066), 0.002
 # steps of that, first and then round what was best
 STEPS = (0.001, 0.0005)
-# of an iris' radius: the pupil's in a room; sRGB of a pupil, and what iris and white are before anything was seen
+# the pupil's share of an iris' radius in a room; sRGB of a pupil, and what iris and white are before anything was seen
 PUPIL, BLACK = 0.4, 0.04
 EXPECTED = np.array([[0.22, 0.15, 0.11], [0.70, 0.66, 0.64]])
 # share of the pixels that this counts as; of their variance a drawing explains at least so much, and its white is so
@@ -42,7 +42,7 @@ class EyeDrawing(NamedTuple):
 
     added: Float[Array, "height width 3"]  # row 0 on top, pixels of `picture`
     picture: FrontPicture
-    aside: Float[Array, "2"]  # of the iris' middle from the ball's, metres, to the left and upwards
+    aside: Float[Array, "2"]  # how far the iris' middle lies to the left of the ball's and above it, metres
 
     def axis(self, radius: float) -> Float[Array, "3"]:
         """Where an eye looks at rest whose ball has that radius (metres)."""
@@ -55,7 +55,7 @@ class EyeDrawing(NamedTuple):
         return np.stack([ndimage.map_coordinates(self.added[..., c], where, order=1) for c in range(3)], 1)
 
 
-class _Seen(NamedTuple):
+class _FilmedEye(NamedTuple):
     """An eye of a level; distances are metres from the ball's middle."""
 
     picture: FrontPicture
@@ -98,7 +98,7 @@ def draw_eyes(
     return [EyeDrawing(one.added, eye.picture, one.aside) for one, eye in zip(found, eyes)]
 
 
-def _seen(level: Level, loop: Float[Array, "n 3"], center: Float[Array, "3"]) -> _Seen:
+def _seen(level: Level, loop: Float[Array, "n 3"], center: Float[Array, "3"]) -> _FilmedEye:
     low, high = loop.min(0) - BESIDE, loop.max(0) + BESIDE
     picture = front_picture(level, low, high)
     height, width = picture.light.shape
@@ -106,10 +106,10 @@ def _seen(level: Level, loop: Float[Array, "n 3"], center: Float[Array, "3"]) ->
     y = low[1] + PIXEL * np.arange(height)[::-1, None] - center[1]
     places = np.stack(np.broadcast_arrays(x, y), -1).reshape(-1, 2) + center[:2]
     between = beyond_loop(places, loop[:, :2]) < -LIDS
-    return _Seen(picture, x, y, np.flatnonzero(between & ~np.isnan(picture.light.ravel())))
+    return _FilmedEye(picture, x, y, np.flatnonzero(between & ~np.isnan(picture.light.ravel())))
 
 
-def _drawn(eye: _Seen, blur: float, radius: float, aside: Sequence[float] | Array) -> _Drawn:
+def _drawn(eye: _FilmedEye, blur: float, radius: float, aside: Sequence[float] | Array) -> _Drawn:
     """The drawing in the colors that look most like an eye."""
     away = np.hypot(eye.x - aside[0], eye.y - aside[1])
     disc, pupil = (np.clip(0.5 - (away - edge) / PIXEL, 0, 1) for edge in (radius, PUPIL * radius))
