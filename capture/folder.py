@@ -18,7 +18,7 @@ from avatar.motion.amass import read_video_poses
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from capture.frame_files import FrameFiles, Frames, sized_picture
-from capture.own_face import OwnFace, read_own_face
+from capture.own_face import OWN_FACE, OwnFace, read_own_face
 from capture.videos import Videos
 from command.errors import AssetError
 from command.workers import on_all_cores
@@ -152,7 +152,8 @@ def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS, frames_on_de
     # all of them are checked, though they may not all be kept
     for part in parts:
         _check_distance(path / part, videos[part])
-    return Capture(path, facts, subject, videos, read_own_face(path))
+    own = path / OWN_FACE
+    return Capture(path, facts, subject, videos, read_own_face(own) if own.exists() else None)
 
 
 def read_capture_facts(capture: Path) -> dict:

@@ -44,15 +44,12 @@ class OwnFace:
         return {"format": FORMAT, "version": 1, "shapes": shapes, "colors": found}
 
 
-def read_own_face(capture: Path) -> OwnFace | None:
-    """face.json of a capture folder; None: there is none.
+def read_own_face(path: Path) -> OwnFace:
+    """face.json of a capture folder.
 
     Raises:
         AssetError: a field is absent, no number, or none that is believed; file and field are named.
     """
-    path = capture / OWN_FACE
-    if not path.exists():
-        return None
     content = read_json_object(path, "what a film of a face says")
     if content.get("format") != FORMAT or content.get("version") != 1:
         found = one_line(f"{content.get('format')!r} version {content.get('version')!r}")

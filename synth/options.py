@@ -88,6 +88,6 @@ def main(argv: Sequence[str]) -> int:
         synth_raw(command.subject, command.out, command.config, command.raw)
     else:
         synth(command.subject, command.out, command.config)
-    videos = "five" if command.raw.face_film else "four"
+    videos = "five" if command.raw.raw and command.raw.face_film else "four"
     print(f"{command.out}: {videos} videos in {time.monotonic() - began:.0f} s")
     return 0

@@ -228,6 +228,19 @@ def test_an_eye_that_is_blurred_gets_back_what_the_blur_took_and_a_sharp_one_sta
     assert off(sharp) < 0.01 and off(blurred) > 0.04 and off(drawn) < 0.7 * off(blurred)
 
 
+def test_a_face_has_the_eyes_that_were_drawn_in_its_strip(monkeypatch):
+    image = gaussian_filter(SHEET.level.base_color.astype(np.float64), (3.5, 3.5, 0))
+    blurred = replace(SHEET.level, base_color=bytes_of(image / 255))
+    contrast = []
+    for draw in (draw_eyes, lambda *_: None):
+        monkeypatch.setattr("bake.face.face.draw_eyes", draw)
+        picture = with_face([blurred], SHEET.person).levels[0].base_color / 255.0
+        corners = uv_in(LEFT_EYE, np.array([[0.3, 0.3], [0.7, 0.7]]), 512) * [512, len(picture)]
+        (left, top), (right, bottom) = np.sort(corners, axis=0).astype(int)
+        contrast.append(picture[top:bottom, left:right].std())
+    assert contrast[0] > contrast[1] + 0.02
+
+
 def test_lips_that_registration_left_beside_the_picture_s_are_found():
     off = SHEET.person._replace(vertices=SHEET.person.vertices + [0, -0.005, 0])
     found, right = lip_line(aligned(off, SHEET.level)), lip_line(SHEET.person)

@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_263,
     "avatar": 9_210,
     "geometry": 1_693,
-    "capture": 13_177,
+    "capture": 13_175,
     "train": 5_316,
     "bake": 6_099,
     "player": 19_451,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 3_988,
     "bench": 4_768,
     "selfscan": 526,
-    "tests": 37_335,
+    "tests": 37_393,
 }
 
 

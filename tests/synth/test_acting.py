@@ -10,7 +10,7 @@ from refusals import refused
 from avatar.face import SHAPES
 from avatar.face_template import BODY, builtin_face
 from capture.fit.face_film import moving_points
-from capture.own_face import FITTED, read_own_face
+from capture.own_face import FITTED, OWN_FACE, read_own_face
 from command.errors import AssetError
 from selfscan.__main__ import main
 from synth.command import load_subject
@@ -68,7 +68,7 @@ def test_five_raw_films_become_a_capture_with_the_persons_own_gains(tmp_path, ca
     assert main(["check", str(raw)]) == 0
     assert "face.mp4   426 x 240, 30 frames/s, 4.0 s; the face in 120 frames; " in capsys.readouterr().out
     assert main(["import", "video", str(raw), "--frames", "12", "--stature", "1.753", "-o", str(out)]) == 0
-    own = read_own_face(out)
+    own = read_own_face(out / OWN_FACE)
     truth = json.loads((raw / "truth" / "face" / "face.json").read_text())
     off = own.gains - list(truth["gains"].values())
     assert np.abs(off[:3]).max() < 0.15 and np.sqrt(np.mean(off**2)) < 0.2

@@ -158,6 +158,13 @@ def test_shoulders_are_found_under_a_head_that_nods():
     assert trunk_angles(stiff, footage, replace(points, pixels=wild)) is None
 
 
+@pytest.mark.parametrize(("deviations", "believed"), [(7, True), (13, False)])
+def test_a_trunk_is_believed_within_ten_deviations_of_the_shoulders(monkeypatch, deviations, believed):
+    _, stiff, footage, points = nodding(12)
+    monkeypatch.setattr("capture.fit.trunk.misfits", lambda _, seen: deviations / np.maximum(seen.sure, 1e-9))
+    assert (trunk_angles(stiff, footage, points) is not None) == believed
+
+
 def test_long_hair_draws_no_head_down_into_itself():
     truth, behind, footage = once_round()
     x, over = truth.person.body.vertices, head.head_outlined()

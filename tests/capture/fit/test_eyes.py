@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from avatar.camera import orbit_camera
-from capture.fit.eyes import FEWEST, find_eyes, in_order, opening_middle, with_eyes_of_pictures
+from capture.fit.eyes import (
+    FEWEST,
+    PIXEL,
+    Size,
+    drawn,
+    explained,
+    find_eyes,
+    in_order,
+    opening_middle,
+    with_eyes_of_pictures,
+)
 from capture.fit.footage import footage_of, unplaced
 from capture.fit.person import person_of
 from capture.fit.points import body_points
@@ -25,25 +35,31 @@ def body():
     return person_of("male").body.vertices
 
 
-def painted(vertices, camera, *, off=(0.0, 0.0, 0.0), taller=1.0, colors=(SKIN, WHITE, IRIS), lashes=0.0):
+def painted(vertices, camera, *, off=(0.0, 0.0, 0.0), taller=1.0, colors=(SKIN, WHITE, IRIS), lashes=0.0, before=0.0):
     """What a camera sees of a wall in the plane of the lids with both eyes on it, `off` metres from the template, under
-    black lashes of so many metres."""
+    black lashes of so many metres that stand so far before it."""
     row, column = np.mgrid[:SIZE, :SIZE] + 0.5
     rays = np.stack([column.ravel(), row.ravel(), np.ones(SIZE * SIZE)], 1) @ np.linalg.inv(camera.K).T
     rays = rays @ camera.camera_from_world[:3, :3]
     picture = np.tile(np.array(colors[0]), (SIZE * SIZE, 1))
     for socket in body_sockets():
         middle = opening_middle(vertices, socket.rim)
-        length = (middle[2] + off[2] - camera.eye[2]) / rays[:, 2]
-        at = (camera.eye + length[:, None] * rays)[:, :2] - middle[:2] - off[:2]
         loop = in_order(vertices[socket.rim, :2] - middle[:2]) * [1, taller]
-        near = np.flatnonzero(np.abs(at).max(1) < 0.03)
-        beyond = beyond_loop(at[near], loop)
-        picture[near[(beyond < lashes) & (at[near, 1] > 0)]] = 0.05
-        open_ = near[beyond < 0]
+        behind, at, beyond = seen_in_plane(camera, rays, middle + off, loop)
+        open_ = behind[beyond < 0]
         picture[open_] = colors[1]
-        picture[open_[np.hypot(*at[open_].T) < 0.006]] = colors[2]
+        picture[open_[np.hypot(*at[beyond < 0].T) < 0.006]] = colors[2]
+        ahead, at, beyond = seen_in_plane(camera, rays, middle + off + [0, 0, before], loop)
+        picture[ahead[(np.abs(beyond - lashes / 2) < lashes / 2) & (at[:, 1] > 0)]] = 0.05
     return np.uint8(255 * picture.reshape(SIZE, SIZE, 3))
+
+
+def seen_in_plane(camera, rays, at, loop):
+    """The rays that meet the plane through a place near it, where in that plane, and how far beyond a loop."""
+    length = (at[2] - camera.eye[2]) / rays[:, 2]
+    places = (camera.eye + length[:, None] * rays)[:, :2] - at[:2]
+    near = np.flatnonzero(np.abs(places).max(1) < 0.03)
+    return near, places[near], beyond_loop(places[near], loop)
 
 
 def filmed(vertices, folder, **drawn):
@@ -112,3 +128,23 @@ def test_thick_lashes_over_whites_in_their_shade_are_no_iris(body, tmp_path):
     found = find_eyes(body, cameras, film, ALL)
     assert found is not None
     np.testing.assert_allclose(found.moves[:, :2], [[0.0012, -0.0016]] * 2, atol=0.0008)
+
+
+def test_lashes_before_the_eyes_say_nothing_of_their_depth(body, tmp_path):
+    cameras, film = filmed(body, tmp_path, lashes=0.003, before=0.006)
+    found = find_eyes(body, cameras, film, ALL)
+    assert found is not None
+    np.testing.assert_allclose(found.moves[:, 2], 0, atol=0.001)
+
+
+@pytest.mark.parametrize(
+    ("white", "explains"),
+    [(WHITE, True), ((0.50, 0.42, 0.37), True), ((0.20, 0.19, 0.18), False), ((0.72, 0.26, 0.18), False)],
+)
+def test_a_white_is_brighter_than_the_iris_and_hardly_more_colorful_than_skin(body, white, explains):
+    rim = body_sockets()[0].rim
+    loop = in_order(body[rim, :2] - opening_middle(body, rim)[:2])
+    parts, counts = drawn(loop, Size(0.006, 0.001, 1.0), 1, PIXEL)
+    picture = np.einsum("phw,pc->hwc", parts, np.array([IRIS, white, SKIN, SKIN, SKIN]))
+    middle = explained(picture, parts, counts)[tuple(size // 2 for size in counts.shape)]
+    assert middle > 0.95 if explains else middle == -1
