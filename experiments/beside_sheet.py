@@ -4,7 +4,7 @@ python -m experiments.beside_sheet docs/pictures/twelve.jpg builtin:2=two.glb pe
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -55,12 +55,25 @@ def true_tiles(name: str, side: int) -> list[UInt8[np.ndarray, "side side 3"]]:
     return [np.where(shot.mask[..., None] > 0, shot.image, GROUND) for shot in shots]
 
 
-def avatar_tiles(path: str, side: int) -> list[UInt8[np.ndarray, "side side 3"]]:
+def avatar_tiles(path: str | Path, side: int) -> list[UInt8[np.ndarray, "side side 3"]]:
     """The avatar as the player draws it."""
     avatar = read_avatar(path)
     with OffscreenRenderer(avatar, size=(side, side)) as renderer:
         views = cameras(np.asarray(avatar.joint_positions, np.float64), side)
         return [renderer.draw(hanging_arms(), ROOT, camera)[..., :3] for camera in views]
+
+
+def write_sheet(out: Path, pairs: Iterable[tuple[str, str | Path]], side: int = 512) -> None:
+    """Two columns of people: person as `synth` takes it, and its avatar file."""
+    rows = []
+    for person, avatar in pairs:
+        both = zip(true_tiles(person, side), avatar_tiles(avatar, side), strict=True)
+        rows.append(np.concatenate([np.concatenate(tiles, 1) for tiles in both], 1))
+    rows += [np.zeros_like(rows[0])] * (len(rows) % 2)
+    half = len(rows) // 2
+    sheet = np.concatenate([np.concatenate(rows[:half]), np.concatenate(rows[half:])], 1)
+    with whole_file(out, "wb") as file:
+        Image.fromarray(sheet).save(file, "JPEG", quality=82, optimize=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -72,17 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("pairs", nargs="+", metavar="PERSON=AVATAR", help="as `synth` takes a person, and its .glb")
     parser.add_argument("--side", type=int, default=512, help="pixels of a picture")
     options = parser.parse_args(argv)
-    rows = []
-    for pair in options.pairs:
-        person, _, avatar = pair.rpartition("=")
-        both = zip(true_tiles(person, options.side), avatar_tiles(avatar, options.side), strict=True)
-        rows.append(np.concatenate([np.concatenate(tiles, 1) for tiles in both], 1))
-    # two columns of people
-    rows += [np.zeros_like(rows[0])] * (len(rows) % 2)
-    half = len(rows) // 2
-    sheet = np.concatenate([np.concatenate(rows[:half]), np.concatenate(rows[half:])], 1)
-    with whole_file(options.out, "wb") as file:
-        Image.fromarray(sheet).save(file, "JPEG", quality=82, optimize=True)
+    write_sheet(options.out, [tuple(pair.rsplit("=", 1)) for pair in options.pairs], options.side)
     return 0
 
 
