@@ -7,15 +7,13 @@ result is the paper's color whatever the weights. A linear residual (sum f_i M_i
 fitted as well, and ships alone where the network gains less than 0.3 dB over it.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-
-# now, before any GL context: it loads an LLVM that crashes when Mesa's came first
-import torch._dynamo
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 from torch import nn
@@ -28,6 +26,8 @@ from files.whole import whole_file
 AMPLITUDE = 0.6
 # sines and cosines of each coordinate that features are made of, and points of a training step
 OCTAVES, BATCH = 6, 2048
+# Adam's decays, its largest rate, and the share of the steps in which the rate rises
+BETAS, RATE, WARM_UP = (0.9, 0.999), 6e-3, 0.3
 # share of the directions that are distributed as training saw them
 OBSERVED = 0.7
 # what a mode must gain over the simpler one to be shipped
@@ -209,9 +209,9 @@ def trained(
     targets = torch.from_numpy(samples.residual.astype(np.float32))
     bases = torch.from_numpy(samples.surface.base.astype(np.float32))
     train = np.flatnonzero(~samples.kept)
-    optimiser = torch.optim.Adam([*encoder.parameters(), *layers.parameters(), matrices], lr=3e-3)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, max_lr=6e-3, total_steps=steps)
-    for _ in range(steps):
+    parameters = [*encoder.parameters(), *layers.parameters(), matrices]
+    moments = [(torch.zeros_like(one), torch.zeros_like(one)) for one in parameters]
+    for step in range(steps):
         pick = torch.from_numpy(rng.choice(train, min(BATCH, len(train))))
         features, t = encoder(inputs[pick]), tangents[pick]
         size = t.norm(dim=1, keepdim=True)
@@ -221,11 +221,30 @@ def trained(
         by_matrix = bases[pick] + torch.einsum("nf,fij,nj->ni", features, matrices, t)
         loss = (by_network - wanted).abs().mean() + 0.5 * (by_matrix - wanted).abs().mean()
         loss = loss + 3 * (by_network - wanted).square().mean() + (by_matrix - wanted).square().mean()
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        optimiser.step()
-        schedule.step()
+        adam(parameters, torch.autograd.grad(loss, parameters), moments, step, one_cycle(step / steps))
     return encoder, linears
+
+
+def adam(
+    parameters: Sequence[torch.Tensor], gradients: Sequence[torch.Tensor],
+    moments: Sequence[tuple[torch.Tensor, torch.Tensor]], step: int, rate: float,
+) -> None:  # fmt: skip
+    """A step of Adam (Kingma and Ba 2015), in place. torch.optim imports triton, which takes seconds, and whose LLVM
+    crashes a process that Mesa's was loaded into first."""
+    fading = [1 - beta ** (step + 1) for beta in BETAS]
+    with torch.no_grad():
+        for value, gradient, (first, second) in zip(parameters, gradients, moments):
+            first.lerp_(gradient, 1 - BETAS[0])
+            second.mul_(BETAS[1]).addcmul_(gradient, gradient, value=1 - BETAS[1])
+            value.addcdiv_(first, (second / fading[1]).sqrt_().add_(1e-8), value=-rate / fading[0])
+
+
+def one_cycle(at: float) -> float:
+    """The learning rate at a share of the steps: up along a cosine for three tenths, then down to nothing."""
+    rises = at < WARM_UP
+    share = at / WARM_UP if rises else (1 - at) / (1 - WARM_UP)
+    low = RATE / 25 if rises else 0.0
+    return low + (RATE - low) * 0.5 * (1 - math.cos(math.pi * share))
 
 
 def choose(

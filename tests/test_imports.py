@@ -137,6 +137,23 @@ def test_a_package_loads_neither_what_lies_above_it_nor_what_its_install_lacks(p
     assert not loaded & forbidden
 
 
+READ = """
+import sys
+from pathlib import Path
+import bake.bake
+from train.run import read_run
+read_run(Path(sys.argv[1]))
+print(" ".join(sys.modules))
+"""
+
+
+def test_a_run_is_read_and_baked_without_what_torch_compiles_with(tiny_run):
+    """Its import takes seconds, and its LLVM crashes a process that Mesa's was loaded into first."""
+    out = subprocess.run([sys.executable, "-c", READ, str(tiny_run)], capture_output=True, text=True, check=True).stdout
+    loaded = set(out.split())
+    assert "torch" in loaded and not loaded & {"sympy", "triton", "torch._dynamo"}
+
+
 FILM = """
 import sys
 from player.film.command import render_main

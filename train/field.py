@@ -54,7 +54,7 @@ class PartField(nn.Module):
         self.light = None
         # the surface is the template's, whatever was learned
         self.keeps_template = False
-        self.register_buffer("reference", torch.zeros_like(self.appearance.weight[0]).detach())
+        self.register_buffer("reference", torch.zeros(self.appearance.weight.shape[1]))
 
     def unit(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """The part's box scaled to [-1, 1]."""

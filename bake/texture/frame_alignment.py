@@ -9,10 +9,11 @@ a surface some millimetres off in depth shows elsewhere in every frame.
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 from numpy import ndarray as Array
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import map_coordinates
 
 from bake.texture.texture_solve import Equations
 from command.workers import on_all_cores
@@ -27,7 +28,7 @@ STAY = 1e-4
 BLURS, STEPS = ((3.0, 0.25), (1.0, 0.08)), 2
 # pixels of a blur that are one of the picture it is done in
 COARSE = 1.5
-# where a window's tails are cut, in standard deviations
+# where a Gaussian's tails are cut, in standard deviations
 TAIL = 2.5
 
 
@@ -109,7 +110,7 @@ def shifted(
 ) -> Float[Array, "height width 2"]:  # fmt: skip
     """`frame_shift` from a first guess, of both pictures blurred."""
     blur = window.blur
-    model, inside = _blurred(drawn, known, blur), gaussian_filter(known.astype(np.float64), blur)
+    model, inside = _blurred(drawn, known, blur), _gaussian(known.astype(np.float32), blur)
     ours = _blurred(frame, known, blur)
     down, across = np.gradient(ours, axis=(0, 1))
     sure = np.where(inside > 0.9, 1.0, 0.0) * known
@@ -120,10 +121,10 @@ def shifted(
         there = _read(read, np.stack(where, -1) + shift[where])
         left = model[where] - there[:, :3]
         gy, gx, weight = there[:, 3:6], there[:, 6:9], there[:, 9]
-        sums = np.zeros((5, *known.shape))
+        sums = np.zeros((5, *known.shape), np.float32)
         for i, (a, b) in enumerate(((gy, gy), (gy, gx), (gx, gx), (gy, left), (gx, left))):
             sums[i][where] = (a * b).sum(-1) * weight
-        yy, yx, xx, yl, xl = (gaussian_filter(one, window.wide, truncate=TAIL) for one in sums)
+        yy, yx, xx, yl, xl = (_gaussian(sums[i], window.wide) for i in range(5))
         yy, xx = yy + window.stay, xx + window.stay
         determinant = yy * xx - yx * yx
         shift = shift + np.stack([(xx * yl - yx * xl) / determinant, (yy * xl - yx * yl) / determinant], -1)
@@ -166,8 +167,14 @@ def grown(image: Float[Array, "rows columns channels"], k: int, shape: tuple[int
 def _blurred(
     image: Float[Array, "height width 3"], known: Bool[Array, "height width"], blur: float
 ) -> Float[Array, "height width 3"]:
-    share = np.maximum(gaussian_filter(known.astype(np.float64), blur), 1e-6)
-    return gaussian_filter(np.where(known[..., None], image, 0.0), (blur, blur, 0)) / share[..., None]
+    share = np.maximum(_gaussian(known.astype(np.float32), blur), 1e-6)
+    return _gaussian(np.where(known[..., None], image, 0).astype(np.float32), blur) / share[..., None]
+
+
+def _gaussian(image: Float[Array, "height width *channels"], deviation: float) -> Array:
+    """Blurred; beyond its edges the picture goes on as in a mirror."""
+    size = 2 * int(TAIL * deviation + 0.5) + 1
+    return cv2.GaussianBlur(image, (size, size), deviation, borderType=cv2.BORDER_REFLECT)
 
 
 def _read(

@@ -14,6 +14,7 @@ from capture.check.silhouette import canonical_from_head, posed_template
 from capture.folder import Capture
 from capture.light.frames import light_from_video
 from capture.videos import even
+from command.workers import on_all_cores
 from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
 
@@ -68,8 +69,10 @@ def video_pixels(
     each = -(-most // len(frames))
     # the head's frame has its own unit
     metres = float(np.cbrt(np.linalg.det(canonical_from_head(capture)[:3, :3]))) if part == "head" else 1.0
-    jump, pieces = JUMP / metres, []
-    for number in frames:
+    jump = JUMP / metres
+
+    def shown(number: int, rng: np.random.Generator) -> LitPixels:
+        """Those of one frame."""
         camera = video.cameras[number]
         vertices = posed_template(capture, part, number)
         drawn = rasterise(vertices, faces, camera)
@@ -91,7 +94,9 @@ def video_pixels(
         R = turns[number].T
         color = image[tuple(pixels[facing].T)] / 255
         video_index = np.full(len(facing), PARTS.index(part))
-        pieces.append(LitPixels(video_index, face[facing], color, normal[facing] @ R, towards_eye[facing] @ R))
+        return LitPixels(video_index, face[facing], color, normal[facing] @ R, towards_eye[facing] @ R)
+
+    pieces = on_all_cores(lambda one: shown(*one), zip(frames, rng.spawn(len(frames))))
     return LitPixels(*(np.concatenate(values) for values in zip(*pieces, strict=True)))
 
 

@@ -21,6 +21,7 @@ from capture.fit.pixels import bilinear
 from capture.folder import CaptureSubject, PartVideo
 from capture.template.eyes import EyeSpheres, eye_spheres, face_forward, first_hits, uncovered
 from capture.template.hull import head_cameras
+from command.workers import on_all_cores
 from geometry.least_squares import robust_cost, robust_weight
 
 # half-angles that are tried: an iris of 3 to 9 mm radius; 0 is the sphere
@@ -92,9 +93,8 @@ def fit_iris(
         asked = directions[directions @ forward > np.cos(ASKED)]
         near = np.linalg.norm(middles - centre, axis=1) < AROUND
         corners = subject.vertices[subject.faces[near]]
-        for row, angle in enumerate(ANGLES):
-            surface = eye_front(asked, forward, float(angle))
-            sums[row] += disagreement(centre, radius, surface, corners, views)
+        fronts = (eye_front(asked, forward, float(angle)) for angle in ANGLES)
+        sums += list(on_all_cores(lambda front: disagreement(centre, radius, front, corners, views), fronts))
     if sums[:, 1].min() < PLACES * FRAMES:
         return None
     residuals = np.sqrt(sums[:, 0] / sums[:, 1])

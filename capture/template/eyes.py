@@ -8,7 +8,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from avatar.body import builtin_body
@@ -177,6 +177,7 @@ def first_hits(
     origin: Float[Array, "3"], directions: Float[Array, "n 3"], corners: Float[Array, "faces 3 3"]
 ) -> Float[Array, "n"]:
     """How far along each ray from one origin the first triangle is met (Möller and Trumbore 1997); else inf."""
+    corners = corners[_before(origin, directions, corners)]
     a, u, v = corners[:, 0] - origin, corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(u, v)
     # with one origin, the determinants are linear in the direction
@@ -190,3 +191,16 @@ def first_hits(
             hit = (p >= 0) & (q >= 0) & (p + q <= 1) & (length > 0)
         first[begin : begin + 512] = np.where(hit, length, np.inf).min(1, initial=np.inf)
     return first
+
+
+def _before(
+    origin: Float[Array, "3"], directions: Float[Array, "n 3"], corners: Float[Array, "faces 3 3"]
+) -> Bool[Array, "faces"]:
+    """Triangles that a ray can meet: round the middle of both the rays and a triangle's corners lie in a cone."""
+    unit = lambda vectors: vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    angle = lambda cosine: np.arccos(np.clip(cosine, -1, 1))
+    middle, towards = unit(directions.sum(0)), unit(corners - origin)
+    own = unit(towards.sum(1))
+    widest = angle((directions @ middle).min(initial=1)) + angle((towards * own[:, None]).sum(2).min(1, initial=1))
+    # what has no direction is kept
+    return ~(angle(own @ middle) > widest + 1e-6)

@@ -3,6 +3,7 @@
 import numpy as np
 import onnxruntime
 import pytest
+import torch
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.sparse import csr_matrix
 
@@ -10,13 +11,16 @@ from avatar.gltf.avatar_file import ViewNetwork
 from bake.cone import ViewCone, six_from_matrix, tangent_frame
 from bake.network import (
     AMPLITUDE,
+    RATE,
     SurfacePoints,
+    adam,
     choose,
     distil,
     fit_linear,
     linear_residual,
     network_inputs,
     network_residual,
+    one_cycle,
     write_onnx,
 )
 from bake.texture.frame_alignment import FARTHEST, WINDOWS, ShownVideo, aligned_frames, frame_shift, moved_colors
@@ -56,6 +60,22 @@ def test_a_network_wins_where_the_residual_is_curved_and_nothing_is_shipped_with
     features, tangent, truth = rng.random((5000, 4)), rng.normal(size=(5000, 3)), rng.normal(size=(4, 3, 3))
     found = fit_linear(features, tangent, linear_residual(truth, features, tangent))
     np.testing.assert_allclose(found, truth, atol=1e-3)
+
+
+def test_a_step_of_adam_is_torchs():
+    wanted = torch.linspace(-1, 2, 7)
+    values = [torch.zeros(7, requires_grad=True) for _ in range(2)]
+    theirs, moments = torch.optim.Adam([values[1]], lr=RATE), [(torch.zeros(7), torch.zeros(7))]
+    for step in range(40):
+        losses = [((value - wanted) ** 2 * (1 + step % 3)).sum() for value in values]
+        adam(values[:1], torch.autograd.grad(losses[0], values[:1]), moments, step, RATE)
+        theirs.zero_grad()
+        losses[1].backward()
+        theirs.step()
+    assert abs(values[0].detach()).max() > 0.1
+    torch.testing.assert_close(*values, atol=1e-6, rtol=1e-5)
+    rates = [one_cycle(at) for at in np.linspace(0, 1, 101)]
+    assert np.argmax(rates) == 30 and max(rates) == pytest.approx(RATE) and rates[0] == RATE / 25 and rates[-1] == 0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from avatar.camera import Camera
 from avatar.rotation import matrix_from_axis_angle
 from capture.folder import PartVideo
 from capture.register.iris import FlatIris
-from capture.template.eyes import body_sockets, eye_openings, eye_spheres, hidden_lengths
+from capture.template import eyes as template_eyes
+from capture.template.eyes import body_sockets, eye_openings, eye_spheres, first_hits, hidden_lengths
 from capture.template.parts import part_boxes
 from capture.template.surface import neck_height, surface_cloud, visible_faces
 from command.errors import AssetError
@@ -55,6 +56,18 @@ def asked(eyes, points, field=None):
     points = torch.as_tensor(points, dtype=torch.float32)
     alone = OpenEyes(eyes.values, torch.ones_like(eyes.share), eyes.low, eyes.cell)
     return alone.distance(points, torch.full((len(points),), 1.0)).numpy()
+
+
+@pytest.mark.parametrize("spread", [0.02, 0.5, 3.0])
+def test_rays_meet_what_they_meet_without_a_cone_round_them(subject, spheres, monkeypatch, spread):
+    origin, rng = spheres.centres[0] + [0, 0.02, 0.5], np.random.default_rng(4)
+    directions = rng.normal(size=(300, 3)) * spread + [0, -0.04, -1]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    corners = subject.vertices[subject.faces]
+    found, kept = first_hits(origin, directions, corners), template_eyes._before(origin, directions, corners)
+    assert np.isfinite(found).sum() > 20 and (kept.mean() < 0.2) == (spread == 0.02)
+    monkeypatch.setattr(template_eyes, "_before", lambda *_: slice(None))
+    np.testing.assert_array_equal(found, first_hits(origin, directions, corners))
 
 
 def first_crossing(eyes, points, direction, far=0.03):

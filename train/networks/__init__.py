@@ -109,6 +109,11 @@ class PartNetworks(NamedTuple):
 
 def frame_codes(frames: int, size: int) -> nn.Embedding:
     """Codes l_i or phi_i, one row per frame, near zero."""
-    codes = nn.Embedding(frames, size)
-    nn.init.normal_(codes.weight, std=0.1)
-    return codes
+    return nn.Embedding.from_pretrained(drawn(frames, size, by=lambda values: values.normal_(std=0.1)), freeze=False)
+
+
+def drawn(*shape: int, by: Callable[[Tensor], Tensor]) -> Tensor:
+    """Random numbers; on the meta device, which has no memory, none: torch would import sympy to draw them there, which
+    takes seconds."""
+    values = torch.empty(shape)
+    return values if values.is_meta else by(values)

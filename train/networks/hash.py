@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from train.deform import Displacement
-from train.networks import FeatureGrid, Layers, PartNetworks, SmallColor, TemplateCorrection, frame_codes, layers
+from train.networks import FeatureGrid, Layers, PartNetworks, SmallColor, TemplateCorrection, drawn, frame_codes, layers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +123,8 @@ class HashGrid(FeatureGrid):
         self.opened, self.first_levels = networks.opened, min(networks.first_levels, levels)
         # levels that count; the others give zeros
         self.open = self.first_levels
-        self.table = nn.Parameter(1e-4 * (2 * torch.rand(int(rows.sum()), networks.channels) - 1))
+        small = lambda values: values.uniform_(-1e-4, 1e-4)
+        self.table = nn.Parameter(drawn(int(rows.sum()), networks.channels, by=small))
 
     def forward(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
         """Beyond the unit box the border repeats."""

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from train.deform import Displacement, positional_encoding
-from train.networks import FeatureGrid, PartNetworks, SmallColor, TemplateCorrection, frame_codes, layers
+from train.networks import FeatureGrid, PartNetworks, SmallColor, TemplateCorrection, drawn, frame_codes, layers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class TriPlane(FeatureGrid):
 
     def __init__(self, channels: int, size: int):
         super().__init__()
-        self.planes = nn.Parameter(1e-2 * torch.randn(3, channels, size, size))
+        self.planes = nn.Parameter(drawn(3, channels, size, size, by=lambda values: values.normal_(std=1e-2)))
 
     def forward(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
         """Beyond the unit box the border repeats."""
