@@ -28,6 +28,7 @@ from scipy.spatial import KDTree
 from avatar.camera import Camera, project
 from capture.folder import CaptureSubject
 from capture.videos import even
+from command.workers import on_all_cores
 from geometry.rasterise import rasterise
 
 # pixels of a view, at most, along the longer side: a cell of 6 mm is about 4 pixels of 256
@@ -100,7 +101,7 @@ def carve_hollows(
     its color is empty too."""
     solid, hair = solid.copy(), hair.copy()
     carved = np.zeros_like(hair)
-    behind = [rasterise(subject.vertices, subject.faces, view.camera) for view in views]
+    behind = list(on_all_cores(lambda view: rasterise(subject.vertices, subject.faces, view.camera), views))
     unlike = None
     for _ in range(ROUNDS):
         outer = solid & ~np.asarray(ndimage.binary_erosion(solid), bool)
@@ -108,7 +109,7 @@ def carve_hollows(
         is_hair = hair[tuple(surface.T)]
         if not is_hair.any():
             break
-        looks = [_looks(low + cell * surface, view, cell) for view in views]
+        looks = list(on_all_cores(lambda view: _looks(low + cell * surface, view, cell), views))
         colors = _template_colors(subject, views, behind, looks, cell)
         shown, expected = _shown_behind(views, behind, looks, colors, is_hair, subject)
         empty = _empty(shown, expected, DISAGREE if sure is None else ESTIMATED)

@@ -25,6 +25,7 @@ from capture.template.hollows import ColorView, Sure, carve_hollows, color_views
 from capture.template.parts import rigid_weights
 from capture.template.surface import surface_cloud, visible_faces
 from capture.videos import even
+from command.workers import on_all_cores
 from geometry.cells import distance_to, pieces
 from geometry.mesh import compact
 
@@ -236,11 +237,10 @@ def with_hair(
         cloud = surface_cloud(held, PARTS.index("head"), visible, 0.004, 0.008)
         return distance_grid(cloud, low, high, CELL, (held, scalp.neck))
 
-    template = distance_of(held)
-    if capture.fitted_here:
-        # no place is hair's that shoulders take when they rise
-        others = (under_held_head(subject, body.axis_angle[i]) for i in even(len(body.axis_angle), RISEN))
-        template = template._replace(values=np.min([template.values, *(distance_of(h).values for h in others)], 0))
+    # no place is hair's that shoulders take when they rise
+    risen = even(len(body.axis_angle), RISEN) if capture.fitted_here else []
+    grids = list(on_all_cores(distance_of, [held, *(under_held_head(subject, body.axis_angle[i]) for i in risen)]))
+    template = grids[0]._replace(values=np.min([grid.values for grid in grids], 0))
     head_video = capture.videos["head"]
     count = len(head_video.cameras)
     views = mask_views(head_video, [np.linalg.inv(canonical_from_head)] * count)
