@@ -9,6 +9,7 @@ from recorded_commands import recorded_commands
 
 import experiments.claim
 import experiments.curves
+import experiments.first_avatars
 from command.errors import AssetError
 from command.settings import settings_json
 from experiments.claim import collect
@@ -16,6 +17,7 @@ from experiments.claim import main as claim
 from experiments.claim_page import page
 from experiments.curve_page import items_table, seconds_to
 from experiments.curves import leaves_out, main
+from experiments.first_avatars import main as first_avatars
 from train.preset import DEMO, ITEMS
 
 CAPTURE = {"format": "selfscan-capture", "version": 1, "subject": "Person", "light": "even", "size": 64}
@@ -217,3 +219,30 @@ def test_a_result_of_another_kind_is_no_part_of_a_column_and_a_mean_is_of_all_or
     text = page(people, facts)
     mean = text[text.index("## Mean of 2 people") : text.index("## He")]
     assert "| held-out poses: P2S in place, cm | 1.50 / 1.50 / 1.50 | - | - | - |" in mean
+
+
+def test_people_are_filmed_made_and_judged_and_who_fails_is_said(monkeypatch, tmp_path, capsys):
+    def leave(words):
+        if words[1] == "make" and "builtin_9" in words[-7]:
+            return
+        at = {"synth": Path(words[3]) / "truth" / "raw.json", "make": Path(words[4]), "eval": Path(words[-1])}[words[1]]
+        at.parent.mkdir(parents=True, exist_ok=True)
+        at.write_text(json.dumps(result("from pixels", {"She": 1.0, "He": 3.0}.get(at.parent.name, 0))))
+
+    sheets = []
+    for name in ("stature_of", "write_sheet"):
+        found = {"stature_of": lambda person: 1.7, "write_sheet": lambda out, pairs: sheets.append(pairs)}[name]
+        monkeypatch.setattr(experiments.first_avatars, name, found)
+    calls, out = recorded_commands(monkeypatch, experiments.first_avatars, leave), tmp_path / "out"
+    assert first_avatars(["She.glb:female", "He.glb", "builtin:9", "-o", str(out), "--minutes", "4"]) == 1
+    assert [call[1] for call in calls] == ["synth", "make", "eval"] * 2 + ["synth", "make"]
+    makes = [call for call in calls if call[1] == "make"]
+    assert [call[call.index("--sex") + 1] for call in makes[:2]] == ["female", "male"]
+    assert all(call[call.index("--stature") + 1] == "1.700" for call in makes)
+    assert sheets == [[("She.glb", out / "She" / "me.glb"), ("He.glb", out / "He" / "me.glb")]]
+    lines = (out / "README.md").read_text().splitlines()
+    assert "| | median of 2 | She | He |" in lines
+    three = lambda value: " / ".join([f"{value:.2f}"] * 3)
+    assert f"| P2S aligned, cm | {three(0.2)} | {three(0.1)} | {three(0.3)} |" in lines
+    assert "| outlines of the T-pose, mean of eight sides | - | - | - |" in lines
+    assert "not made: builtin_9: " in capsys.readouterr().err
