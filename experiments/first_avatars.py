@@ -5,13 +5,13 @@
 PERSON is what `selfscan synth` takes; `:female` after a file is the free body that the fit begins with. Everybody is
 filmed by one phone in one room (OUT/PERSON/raw: four videos, a simulated detector's keypoints, held-out pictures apart
 in truth/), made into an avatar (OUT/PERSON/me.glb) and judged by `selfscan eval`. What exists is kept: the same command
-goes on. OUT/first_avatars.json, README.md and sheet.jpg hold everybody in OUT.
+goes on. OUT/first_avatars.json, README.md and sheet.jpg are of those who are named.
 """
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -51,7 +51,7 @@ FILMING, JUDGING = 3.0, 3.0
 class Options:
     """What decides the numbers; a folder holds those of one of them."""
 
-    minutes: Annotated[int, "as `make` takes them"] = 4
+    minutes: Annotated[Literal["4", "6"], "as `make` takes them: of no trained field"] = "4"
     size: Annotated[int, AtLeast(96), "pixels of the videos' shorter side"] = 400
     seconds: Annotated[float, "of the turn in each video"] = 3.0
     truth_every: Annotated[int, AtLeast(1), "of the 20 held-out poses and 10 views film only every N-th"] = 6
@@ -92,13 +92,13 @@ def stages(options: Options, name: str, out: Path) -> list[Stage]:
     return [
         Stage("film four raw videos", raw / "truth" / "raw.json", command("selfscan", "synth", person, raw, *film),
               FILMING),
-        Stage("make", avatar, make, options.minutes + 1.0),
+        Stage("make", avatar, make, int(options.minutes) + 1.0),
         Stage("evaluate", quality, judge, JUDGING),
     ]  # fmt: skip
 
 
 def cell(results: Sequence[dict[str, Any]], keys: tuple[str, ...], digits: int) -> str:
-    """The median over people of a number or of its three regions; a dash where nobody has it."""
+    """The median over people of a number or of its three regions; a dash where none has it."""
     regions = {}
     for region in REGIONS:
         found = [number_of(result, [region if key == "*" else key for key in keys]) for result in results]

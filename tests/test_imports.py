@@ -140,9 +140,14 @@ def test_a_package_loads_neither_what_lies_above_it_nor_what_its_install_lacks(p
 READ = """
 import sys
 from pathlib import Path
+import torch
 import bake.bake
+from train.preset import PRESETS
 from train.run import read_run
 read_run(Path(sys.argv[1]))
+for name in ("demo", "fast", "preview"):
+    with torch.device("meta"):
+        PRESETS[name].parts[1].networks.build(3, torch.ones(3, device="cpu"), 0.01)
 print(" ".join(sys.modules))
 """
 

@@ -62,7 +62,7 @@ def test_a_network_wins_where_the_residual_is_curved_and_nothing_is_shipped_with
     np.testing.assert_allclose(found, truth, atol=1e-3)
 
 
-def test_a_step_of_adam_is_torchs():
+def test_steps_of_adam_are_those_of_torch_and_the_rate_rises_once():
     wanted = torch.linspace(-1, 2, 7)
     values = [torch.zeros(7, requires_grad=True) for _ in range(2)]
     theirs, moments = torch.optim.Adam([values[1]], lr=RATE), [(torch.zeros(7), torch.zeros(7))]
