@@ -44,9 +44,12 @@ def test_textures_from_the_videos_are_nearer_to_the_true_pictures(out):
     against, same = facts["against_field"], avatars["a"].provenance["baked"]["against_field"]
     # beside the videos' textures the field's picture has half the texels a side
     assert same["paper_db"] - 4 < against["paper_db"] < same["paper_db"] + 0.1
-    # a face is cut into a level whose triangles it must leave room for: not the same vertices, the same surface
+    # a face is cut into a level whose triangles it must leave room for: not the same vertices, the same surface; but
+    # eyes are where each one's own picture shows them, and a field so young shows a blur
     positions = [avatar.levels[0].positions for avatar in avatars.values()]
-    assert KDTree(positions[0]).query(positions[1])[0].mean() < 3e-4
+    eyes = KDTree([eye.center for avatar in avatars.values() for eye in avatar.eyes])
+    beside = positions[1][eyes.query(positions[1])[0] > 0.02]
+    assert len(beside) > 0.8 * len(positions[1]) and KDTree(positions[0]).query(beside)[0].mean() < 1.5e-4
     views = some_poses(read_held_out(out / "capture", "novel_view"), 3)
     # its own context: VTK, by which later tests inspect, ends those that stand open
     with open_context() as context:

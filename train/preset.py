@@ -248,7 +248,7 @@ PREVIEW = replace(
     union=UnionPreset(iterations=0),
     appearance_steps=0,
     # baking extracts the template anew: this surface holds what the videos saw of it
-    surface_cells=(0.009, 0.005, 0.0035),
+    surface_cells=(0.009, 0.0035, 0.0035),
 )
 
 PRESETS: dict[str, Preset] = dict(zip(PRESET_NAMES, (DEMO, FAST, PAPER, PREVIEW), strict=True))
