@@ -64,14 +64,15 @@ class Trust(NamedTuple):
     trunk: float  # metres off the trunk that are hair
     over: float  # metres over the head's lowest skin to which shoulders may rise
     beside: float  # metres beside what stands off before the nape, over which its edge sinks to the trunk
+    joined: float  # metres off the head that are hair where they hang together with what stands off
     # whether outlines drew the scalp out, as far as short hair: where more stands off, it then has hair all over
     drawn_out: bool
 
 
-GIVEN = Trust(0.1, STANDS_OFF, 0.0, BESIDE, drawn_out=False)
+GIVEN = Trust(0.1, STANDS_OFF, 0.0, BESIDE, np.inf, drawn_out=False)
 # poses from the videos: outlines are a centimetre off, shoulders two, and a tenth of the views contradicts half of the
-# hair; an edge as wide as in what is given is a plate on the shoulder
-ESTIMATED = Trust(0.2, 0.025, 0.03, 0.015, drawn_out=True)
+# hair; an edge as wide as in what is given is a plate on the shoulder. Locks beside a face are as thin as their error
+ESTIMATED = Trust(0.2, 0.025, 0.03, 0.015, 0.006, drawn_out=True)
 
 
 class MaskView(NamedTuple):
@@ -180,16 +181,21 @@ def carve(
     beside = np.where(head | (z < scalp.middle[1] - NAPE), BESIDE, trust.beside)
     standing = hull & (distance > least)
     standing = np.asarray(ndimage.binary_opening(standing, ndimage.generate_binary_structure(3, 1)), bool)
-    standing &= hanging(hull & (distance > -2 * cell), axes, scalp)
+    free = hanging(hull & (distance > -2 * cell), axes, scalp)
+    standing &= free
     above = np.broadcast_to((axes[1] > scalp.neck)[:, None], standing.shape)
     standing = large_pieces(standing, cell, LEAST, above)
     if not standing.any():
         return None
-    # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin
-    edge = least * (1 - distance_to(standing) * cell / beside)
+    thin = standing | free & head & (distance > trust.joined)
+    thin = np.asarray(ndimage.binary_propagation(standing, mask=thin), bool)
+    # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin;
+    # thin locks beside a face cast no such edge on it
+    away = np.where(before_face(axes, scalp), distance_to(standing), distance_to(thin)) * cell
+    edge = least * (1 - away / beside)
     if trust.drawn_out:
         edge = np.where((y > scalp.brow) | behind, least, edge)
-    solid = hull & (distance > -2 * cell) & (distance < edge) | standing
+    solid = hull & (distance > -2 * cell) & (distance < edge) | thin
     return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
 
 
@@ -202,13 +208,17 @@ def large_pieces(
     return cells & (large & (np.bincount(label[reached], minlength=len(large)) > 0))[label]
 
 
+def before_face(axes: Sequence[Array], scalp: Scalp) -> Bool[Array, "x y z"]:
+    """Where no hair hangs: before face and throat."""
+    x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
+    return (np.abs(x - scalp.middle[0]) < FACE) & (z > scalp.middle[1]) & (y > scalp.neck - THROAT) & (y < scalp.brow)
+
+
 def hanging(outer: Bool[Array, "x y z"], axes: Sequence[Array], scalp: Scalp) -> Bool[Array, "x y z"]:
     """Of the `outer` cells of a person those that hair may be: above the neck all but before the face, below it what is
     reached from there downwards. What else stands off is a collar, or a shoulder that is not where the template has it.
     """
-    x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
-    face = (np.abs(x - scalp.middle[0]) < FACE) & (z > scalp.middle[1]) & (y > scalp.neck - THROAT) & (y < scalp.brow)
-    free = outer & ~face
+    free = outer & ~before_face(axes, scalp)
     for level in range(len(axes[1]) - 2, -1, -1):
         if axes[1][level] < scalp.neck:
             over = free[:, level + 1]

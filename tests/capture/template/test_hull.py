@@ -81,8 +81,24 @@ def test_a_scalp_that_outlines_drew_out_has_hair_all_over_where_some_stands_off_
         found = carve(filmed(hair), skull, SCALP, trust=trust)
         return None if found is None else (found.share[crown] > 0.5).mean()
 
-    assert share(ESTIMATED) > 0.9 and share(ESTIMATED._replace(drawn_out=False)) < 0.1
+    assert share(ESTIMATED) > 0.9 and share(ESTIMATED._replace(drawn_out=False, joined=np.inf)) < 0.1
     assert share(ESTIMATED, hair=False) is None
+
+
+def test_locks_thinner_than_what_stands_off_are_hair_beside_the_face_where_they_hang_together_with_it():
+    skull = ball()
+    skull = skull._replace(values=skull.values + np.float32(0.018))  # a layer of 1.8 cm, the hull's margin of .6 too
+    x, y, z = np.moveaxis(GRID, -1, 0)
+    layer = (skull.values > 0.004) & (skull.values < 0.009) & (np.abs(y) < 0.03)
+    beside, before = layer & (np.abs(x) > 0.07) & (z > 0.01), layer & (np.abs(x) < 0.04) & (z > 0)
+
+    def shares(trust, hair=True):
+        found = carve(filmed(hair), skull, SCALP, trust=trust)
+        return None if found is None else [(found.share[cells] > 0.5).mean() for cells in (beside, before)]
+
+    locks, lid = shares(ESTIMATED)
+    assert locks > 0.8 and lid < 0.05 and shares(ESTIMATED._replace(joined=np.inf)) == [0, 0]
+    assert shares(ESTIMATED, hair=False) is None
 
 
 @pytest.mark.parametrize("noise", ["eroded", "dilated", pytest.param("mixed", marks=pytest.mark.slow)])
