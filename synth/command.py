@@ -89,7 +89,7 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
     lights = {part: light_of(config.light, part, config.seed) for part in PARTS}
     with open_context() as context, whole_folder(out) as folder:
         rasteriser = Rasteriser(context)
-        plan = film_raw(folder, Studio(rasteriser, person, 2), lights, config.size, raw, config.seed)
+        plan = film_raw(folder, Studio(rasteriser, person, 2), lights, config, raw)
         if config.truth:
             write_rest(folder / "truth", person, visible_faces(rasteriser, person.vertices, person.faces))
             if raw.held_out:

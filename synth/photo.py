@@ -60,12 +60,13 @@ class Studio:
         return Photo(image, np.where(covered, 255, 0).astype(np.uint8), parts)
 
     def expose(
-        self, vertices: Float[Array, "vertices 3"], camera: Camera, light: FilmLight, lit: VertexLight | None = None
-    ) -> tuple[Float[Array, "height width 3"], Float[Array, "height width"]]:
+        self, vertices: Float[Array, "vertices 3"], camera: Camera, light: FilmLight, sheen: float,
+        lit: VertexLight | None = None,
+    ) -> tuple[Float[Array, "height width 3"], Float[Array, "height width"]]:  # fmt: skip
         """A picture to lay over another one, color + (1 - coverage) * what lies behind: color, sRGB 0 to 255, times
         coverage, and coverage, the share of the pixel that shows the person. `lit`: light in a room, found before."""
         n = self.supersample
-        samples, hit, _ = self._samples(vertices, camera, light, 0.0, lit)
+        samples, hit, _ = self._samples(vertices, camera, light, sheen, lit)
         return block_sum(samples, n) / n**2, block_sum(hit.astype(np.float32), n) / n**2
 
     def _samples(

@@ -286,6 +286,15 @@ def test_videos_are_as_a_phone_writes_them_and_begin_empty(raw):
         assert np.median(changed[person]) > 40 > 16 > np.median(changed[masks[1] == 0])
 
 
+def test_who_shines_is_filmed_shining(tmp_path, raw, monkeypatch):
+    monkeypatch.setattr("synth.raw.film.PARTS", ("head",))
+    config = SynthConfig(size=SIZE, light="soft", truth=False, seed=5, sheen=0.5)
+    synth_raw("builtin", tmp_path / "me", config, RawConfig(raw=True, seconds=SECONDS))
+    person = np.asarray(Image.open(raw / "truth" / "head" / "masks" / "000100.png")) > 250
+    plain, shining = (frames_of(folder / FILES["head"])[100][person].mean() for folder in (raw, tmp_path / "me"))
+    assert shining > plain + 5
+
+
 def test_keypoints_lie_at_the_true_joints_but_for_a_detectors_mistakes(raw):
     subject = load_subject("builtin")
     for part in PARTS:
