@@ -64,7 +64,8 @@ class Trust(NamedTuple):
     trunk: float  # metres off the trunk that are hair
     over: float  # metres over the head's lowest skin to which shoulders may rise
     beside: float  # metres beside what stands off before the nape, over which its edge sinks to the trunk
-    joined: float  # metres off the head that are hair where they hang together with what stands off
+    # metres off the head, and STANDS_OFF off the trunk, that are hair where they hang together with what stands off
+    joined: float
     # whether outlines drew the scalp out, as far as short hair: where more stands off, it then has hair all over
     drawn_out: bool
 
@@ -187,7 +188,7 @@ def carve(
     standing = large_pieces(standing, cell, LEAST, above)
     if not standing.any():
         return None
-    thin = standing | free & head & (distance > trust.joined)
+    thin = standing | free & (distance > np.maximum(trust.joined, np.where(head, 0, STANDS_OFF)))
     thin = np.asarray(ndimage.binary_propagation(standing, mask=thin), bool)
     # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin;
     # thin locks beside a face cast no such edge on it

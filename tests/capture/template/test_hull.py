@@ -85,20 +85,25 @@ def test_a_scalp_that_outlines_drew_out_has_hair_all_over_where_some_stands_off_
     assert share(ESTIMATED, hair=False) is None
 
 
-def test_locks_thinner_than_what_stands_off_are_hair_beside_the_face_where_they_hang_together_with_it():
-    skull = ball()
-    skull = skull._replace(values=skull.values + np.float32(0.018))  # a layer of 1.8 cm, the hull's margin of .6 too
+def test_locks_thinner_than_what_stands_off_are_hair_beside_face_and_neck_where_they_hang_together_with_it():
     x, y, z = np.moveaxis(GRID, -1, 0)
-    layer = (skull.values > 0.004) & (skull.values < 0.009) & (np.abs(y) < 0.03)
-    beside, before = layer & (np.abs(x) > 0.07) & (z > 0.01), layer & (np.abs(x) < 0.04) & (z > 0)
+    beside = (np.abs(x) > 0.07) & (z > 0.01) & (np.abs(y) < 0.03)
+    before = (np.abs(x) < 0.04) & (z > 0) & (np.abs(y) < 0.03)
+    under = (y < SCALP.neck - CELL) & (y > SCALP.neck - 0.03) & (z < 0) & (z > -0.03)
 
-    def shares(trust, hair=True):
+    def share(cells, thick, trust, hair=True):
+        """Of a layer so thick that the template lacks, the hull's margin of .6 cm too."""
+        skull = ball()
+        skull = skull._replace(values=skull.values + np.float32(thick))
         found = carve(filmed(hair), skull, SCALP, trust=trust)
-        return None if found is None else [(found.share[cells] > 0.5).mean() for cells in (beside, before)]
+        layer = cells & (skull.values > 0.004) & (skull.values < thick - 0.009)
+        return None if found is None else (found.share[layer] > 0.5).mean()
 
-    locks, lid = shares(ESTIMATED)
-    assert locks > 0.8 and lid < 0.05 and shares(ESTIMATED._replace(joined=np.inf)) == [0, 0]
-    assert shares(ESTIMATED, hair=False) is None
+    apart = ESTIMATED._replace(joined=np.inf)
+    assert share(beside, 0.018, ESTIMATED) > 0.9 and share(beside, 0.018, apart) < 0.05
+    assert share(under, 0.026, ESTIMATED) > 0.7 and share(under, 0.026, apart) < 0.05
+    assert share(before, 0.018, ESTIMATED) < 0.05
+    assert share(beside, 0.018, ESTIMATED, hair=False) is None
 
 
 @pytest.mark.parametrize("noise", ["eroded", "dilated", pytest.param("mixed", marks=pytest.mark.slow)])
