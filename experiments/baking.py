@@ -1,6 +1,6 @@
 """What the settings of a bake cost in seconds and bring in accuracy: one run baked with one setting changed at a time.
 
-    python -m experiments.baking out/demo/run --capture out/demo/capture -o out/baking
+    python -m experiments.baking out/run --capture out/capture -o out/baking
 
 Every bake has the default settings but for what its row names, and is a process of its own: its seconds are those from
 reading the run to the written file, of the wall clock and of the processor (all threads; a machine that others use as
@@ -108,7 +108,7 @@ ABOUT = Help(
     "python -m experiments.baking",
     "What the settings of a bake cost in seconds and bring in accuracy: one run baked again and again, each time with "
     "one setting changed, and compared with its field and with true pictures.",
-    "example: python -m experiments.baking out/demo/run --capture out/demo/capture -o out/baking; a bake takes minutes "
+    "example: python -m experiments.baking out/run --capture out/capture -o out/baking; a bake takes minutes "
     "of processor time, --texture 1024 about halves that, --rows makes only some",
 )
 

@@ -17,17 +17,18 @@ from avatar.texture import bytes_of
 from bench.field.drawer import Drawer
 from bench.ladder.rung_pictures import spread_poses
 from bench.report.sheet import save_sheet, sheet
+from bench.score.metrics import rectangle
 from bench.score.picture_scores import is_t_pose
 from bench.score.true_mesh import TrueMesh
 from capture.held_out import HeldOutView
 from experiments.ceiling import true_subject
-from experiments.contact_sheet import VIEW_TITLE, square_about
 from files.picture import read_picture
 from files.whole import whole_file
 from player.draw.raster import Rasteriser
 from synth.light import light_of
 from synth.photo import Studio
 
+VIEW_TITLE = {"body": "", "head": "face", "hand_left": "left hand", "hand_right": "right hand"}
 SIDE = 260  # pixels of a close-up
 # differences are shown so many times as large
 DIFFERENCE = 3.0
@@ -75,6 +76,19 @@ def seam_text(seam: dict[str, float | None]) -> str:
     texts = [f"{step:.2f} mm"] if step is not None else []
     texts += [f"colour {colour:.1f}"] if colour is not None else []
     return ", ".join(texts)
+
+
+def square_about(view: HeldOutView) -> tuple[slice, slice]:
+    """The whole close-up; of a body view the square round the person, a little wider."""
+    width, height = view.camera.size
+    where = rectangle(view.mask()) if view.view == "body" else None
+    if where is None:
+        return slice(0, height), slice(0, width)
+    (top, bottom), (left, right) = ((side.start, side.stop - 1) for side in where)
+    side = min(int(1.06 * max(bottom - top, right - left)) + 4, height, width)
+    top = int(np.clip((top + bottom - side) // 2, 0, height - side))
+    left = int(np.clip((left + right - side) // 2, 0, width - side))
+    return slice(top, top + side), slice(left, left + side)
 
 
 def close_ups(

@@ -29,9 +29,9 @@ from bench.score.region_scores import regions_of
 from bench.score.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import read_subject
 from capture.held_out import SETS, HeldOutView, read_held_out, some_poses
-from experiments.contact_sheet import square_about
 from experiments.program import end_with
 from experiments.rivals import aninerf, anisdf, neuralbody
+from experiments.row_sheet import square_about
 from files.npz import read_npz
 from files.whole import whole_file, write_json
 from geometry.closest import triangle_index

@@ -4,14 +4,12 @@ import json
 from dataclasses import replace
 
 import numpy as np
-from PIL import Image
 
 from bench.bench_command import bench_main
 from bench.ladder.rung_pictures import motion_frames
 from bench.ladder.rung_scores import mark_dominated, median_interval, part_boxes
 from bench.report.rung_page import frontier_of, label_heights, points_of, trade_sentence
 from bench.report.sheet import LARGEST, WIDTH, fitting_font, save_sheet, sheet
-from experiments.contact_sheet import contact_sheet
 from player.budget.ladder import rungs_of
 from player.budget.rung import shown, with_halved_textures
 from player.scene.mannequin import mannequin
@@ -139,17 +137,10 @@ def test_pixels_are_enlarged_linearly_samples_averaged_and_textures_halved():
     assert avatar.levels[0].features.shape == (32, 32, 4)
 
 
-def test_the_contact_sheet_shows_truth_beside_the_avatar(oracle, tmp_path):
-    capture, avatar, _ = oracle
-    contact_sheet(None, avatar, capture, tmp_path / "contact.png")
-    with Image.open(tmp_path / "contact.png") as page:
-        assert page.width == WIDTH
-        assert np.asarray(page).std() > 10
-
-
 def test_a_sheet_is_scaled_down_until_it_fits_and_a_long_title_is_set_within_its_tile(tmp_path):
     noise = np.random.default_rng(0).integers(0, 255, (900, 900, 3), dtype=np.uint8)
     page = sheet([[noise]] * 4, [["noise"]] * 4, "noise", columns=2)
+    assert page.width == WIDTH
     save_sheet(tmp_path / "noise.png", page)
     assert (tmp_path / "noise.png").stat().st_size <= LARGEST
     title = "ground: the shadow alone, at rest, 1.26 x"

@@ -7,7 +7,7 @@ from refusals import refused
 from avatar.gltf.avatar_file import write_avatar
 from command.errors import AssetError
 from command.stages import Stage, run_stages
-from experiments.demo import SCENE, film, stages, summary
+from experiments.demo import SCENE, fields_avatar, film, stages, summary
 from player.scene.mannequin import mannequin
 from player.scene.scene_file import read_scene
 
@@ -39,17 +39,18 @@ def test_complete_stages_are_kept_and_one_without_its_product_stops_the_demo(tmp
 
 def test_the_demo_ends_with_film_sheet_and_report_and_says_times_and_what_was_missed(tmp_path):
     names = [stage.product.relative_to(tmp_path).as_posix() for stage in stages(tmp_path)]
-    assert names[-4:] == ["avatar.glb", "avatar.mp4", "contact.png", "report/bench.json"]
+    assert names[-4:] == ["avatar.making/fields_15.glb", "avatar.mp4", "contact.jpg", "report/bench.json"]
     avatar = replace(mannequin(), provenance={"baked": {"missed": ["34.7 dB against the field"]}})
-    write_avatar(tmp_path / "avatar.glb", avatar)
+    fields_avatar(tmp_path).parent.mkdir()
+    write_avatar(fields_avatar(tmp_path), avatar)
     text = "\n".join(summary(tmp_path, {"train": 61.2, "bake": 12.0}))
     assert "train" in text and "61 s" in text and "73 s" in text
     assert "missed: 34.7 dB" in text and "film.toml" in text
-    assert text.index("avatar.mp4") < text.index("contact.png") < text.index("bench.html")
+    assert text.index("avatar.mp4") < text.index("contact.jpg") < text.index("bench.html")
     assert text.endswith(f"selfscan play {tmp_path / 'avatar.glb'}")
 
 
-def test_the_person_calls_for_a_view_network_and_the_report_has_intervals(tmp_path, monkeypatch):
+def test_raw_videos_of_who_calls_for_a_view_network_are_made_and_the_report_has_intervals(tmp_path, monkeypatch):
     commands = []
 
     def command(*words):
@@ -58,9 +59,9 @@ def test_the_person_calls_for_a_view_network_and_the_report_has_intervals(tmp_pa
 
     monkeypatch.setattr("experiments.demo.command", command)
     stages(tmp_path)
-    synth, _, bake, _, bench = commands
-    assert float(synth[synth.index("--sheen") + 1]) > 0
-    assert "--capture" in bake and "--capture" in bench and "--run" not in bench
+    synth, make, _, bench = commands
+    assert float(synth[synth.index("--sheen") + 1]) > 0 and "--raw" in synth
+    assert make[make.index("--minutes") + 1] == "15" and make[2] == synth[3] == str(tmp_path / "films")
     assert int(bench[bench.index("--rounds") + 1]) >= 20 and int(bench[bench.index("--frames") + 1]) > 1
 
 
