@@ -64,14 +64,14 @@ def avatar_tiles(path: str | Path, side: int) -> list[UInt8[np.ndarray, "side si
 
 
 def write_sheet(out: Path, pairs: Iterable[tuple[str, str | Path]], side: int = 512) -> None:
-    """Two columns of people: person as `synth` takes it, and its avatar file."""
+    """Two columns of people, or one of two at most: person as `synth` takes it, and its avatar file."""
     rows = []
     for person, avatar in pairs:
         both = zip(true_tiles(person, side), avatar_tiles(avatar, side), strict=True)
         rows.append(np.concatenate([np.concatenate(tiles, 1) for tiles in both], 1))
-    rows += [np.zeros_like(rows[0])] * (len(rows) % 2)
-    half = len(rows) // 2
-    sheet = np.concatenate([np.concatenate(rows[:half]), np.concatenate(rows[half:])], 1)
+    high = max(2, -(-len(rows) // 2))
+    rows += [np.zeros_like(rows[0])] * (-len(rows) % high)
+    sheet = np.concatenate([np.concatenate(rows[at : at + high]) for at in range(0, len(rows), high)], 1)
     with whole_file(out, "wb") as file:
         Image.fromarray(sheet).save(file, "JPEG", quality=82, optimize=True)
 
