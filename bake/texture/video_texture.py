@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 from numpy import ndarray as Array
 from scipy.sparse import csr_matrix
+from scipy.spatial import KDTree
 
 from avatar.camera import Camera
 from avatar.rotation import unit_or_zero
@@ -63,6 +64,8 @@ AGREE = 1.0
 WHOLE_HEAD = 0.95
 # difference from the tone of a lock of hair, darker or brighter, sRGB, from which a place of it shows something else
 STRANGE = 0.06
+# metres round such a place within which half of that difference is enough
+MIXED = 0.006
 # difference of a pixel's color from what the others show, sRGB, at which it counts a quarter where poses were estimated
 DOUBTED = 0.15
 # frames that show a texel, away from outlines, up to which it counts as unseen, and from which as seen; the same of
@@ -342,13 +345,18 @@ def limb_of(share: Float[Array, "corners 52"]) -> Integer[Array, "corners"]:
 def strange_on_hair(
     surface: TexelSurface, color: Float[Array, "texels 3"], seen: Bool[Array, "texels"]
 ) -> Bool[Array, "texels"]:
-    """Texels of hanging hair that show something else: what lies behind a lock that ends elsewhere than estimated."""
+    """Texels of hanging hair that show something else: what lies behind a lock that ends elsewhere than estimated; and
+    within MIXED of these what is a mix of the two."""
     found = np.zeros(len(color), bool)
     for piece in np.flatnonzero(np.arange(surface.piece.max() + 1) != np.bincount(surface.piece).argmax()):
         own = surface.piece == piece
         if (own & seen).any():
             tone = unit_or_zero(np.median(color[own & seen], axis=0))
-            found |= own & (np.sqrt(np.square(color - (color @ tone)[:, None] * tone).mean(1)) > STRANGE)
+            off = np.sqrt(np.square(color - (color @ tone)[:, None] * tone).mean(1))
+            strange, mixed = own & (off > STRANGE), np.flatnonzero(own & (off > STRANGE / 2))
+            if strange.any():
+                away = KDTree(surface.points[strange]).query(surface.points[mixed], distance_upper_bound=MIXED)[0]
+                found[mixed[away < MIXED]] = True
     return found
 
 
