@@ -188,7 +188,8 @@ def carve(
     standing = large_pieces(standing, cell, LEAST, above)
     if not standing.any():
         return None
-    thin = standing | free & (distance > np.maximum(trust.joined, np.where(head, 0, STANDS_OFF)))
+    # behind, where hair is all that is as near, what the opening took away stays away
+    thin = standing | free & ~behind & (distance > np.maximum(trust.joined, np.where(head, 0, STANDS_OFF)))
     thin = np.asarray(ndimage.binary_propagation(standing, mask=thin), bool)
     # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin;
     # thin locks beside a face cast no such edge on it
