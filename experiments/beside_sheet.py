@@ -1,6 +1,6 @@
-"""True people and their avatars beside each other: face, side of the head, front, back: docs/pictures/twelve.jpg.
+"""True people and their avatars beside each other: face, side of the head, front, back.
 
-python -m experiments.beside_sheet docs/pictures/twelve.jpg builtin:2=two.glb person.glb=made.glb ...
+python -m experiments.beside_sheet sheet.jpg builtin:2=two.glb person.glb=made.glb ...
 """
 
 import argparse
