@@ -48,6 +48,8 @@ BROW = 0.65
 FACE, THROAT = 0.06, 0.06
 # metres over the head's lowest skin from which on what stands off behind the face is surely hair
 CHIN = 0.08
+# metres before the middle of the skull from which a thin lock is not told from a cheek
+CHEEK = 0.05
 # metres behind the middle of the skull where the neck's back begins
 NAPE = 0.06
 RISEN = 5  # poses of the body's video whose shoulders are asked
@@ -189,8 +191,9 @@ def carve(
     if not standing.any():
         return None
     # behind, where hair is all that is as near, what the opening took away stays away
-    thin = standing | free & ~behind & (distance > np.maximum(trust.joined, np.where(head, 0, STANDS_OFF)))
-    thin = np.asarray(ndimage.binary_propagation(standing, mask=thin), bool)
+    thin = free & ~behind & (z < scalp.middle[1] + CHEEK)
+    thin &= distance > np.maximum(trust.joined, np.where(head, 0, STANDS_OFF))
+    thin = np.asarray(ndimage.binary_propagation(standing, mask=standing | thin), bool)
     # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin;
     # thin locks beside a face cast no such edge on it
     away = np.where(before_face(axes, scalp), distance_to(standing), distance_to(thin)) * cell

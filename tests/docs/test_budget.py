@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_263,
     "avatar": 9_210,
     "geometry": 1_693,
-    "capture": 13_207,
+    "capture": 13_210,
     "train": 5_324,
     "bake": 6_133,
     "player": 19_451,
