@@ -51,7 +51,7 @@ def true_tiles(name: str, side: int) -> list[UInt8[np.ndarray, "side side 3"]]:
     with open_context() as context:
         studio = Studio(Rasteriser(context), subject, 2)
         vertices = studio.posed(hanging_arms(), ROOT)
-        shots = [studio.take(vertices, camera, STILL["soft"], 0.0) for camera in cameras(subject.joints, side)]
+        shots = [studio.take(vertices, camera, STILL["soft"]) for camera in cameras(subject.joints, side)]
     return [np.where(shot.mask[..., None] > 0, shot.image, GROUND) for shot in shots]
 
 
@@ -69,11 +69,11 @@ def write_sheet(out: Path, pairs: Iterable[tuple[str, str | Path]], side: int = 
     for person, avatar in pairs:
         both = zip(true_tiles(person, side), avatar_tiles(avatar, side), strict=True)
         rows.append(np.concatenate([np.concatenate(tiles, 1) for tiles in both], 1))
-    high = max(2, -(-len(rows) // 2))
+    high = max(min(2, len(rows)), -(-len(rows) // 2))
     rows += [np.zeros_like(rows[0])] * (-len(rows) % high)
     sheet = np.concatenate([np.concatenate(rows[at : at + high]) for at in range(0, len(rows), high)], 1)
     with whole_file(out, "wb") as file:
-        Image.fromarray(sheet).save(file, "JPEG", quality=82, optimize=True)
+        Image.fromarray(sheet).save(file, "PNG" if out.suffix == ".png" else "JPEG", quality=82, optimize=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -50,9 +50,8 @@ class CeilingDrawer:
 
     def __init__(self, raster: Rasteriser, capture: Path, facts: Json, truth: TrueMesh):
         self.surface = ceiling_surface(capture, truth)
-        self.studio = Studio(raster, true_subject(capture, truth), supersample=1)
+        self.studio = Studio(raster, true_subject(capture, truth), 1, float(facts.get("sheen", 0.0)))
         self.light = light_of(facts["light"], "body", int(facts["seed"]))
-        self.sheen = float(facts.get("sheen", 0.0))
 
     def draw(
         self,
@@ -64,7 +63,7 @@ class CeilingDrawer:
     ) -> MaskedPicture:
         """One picture on black; all of it, whatever `where` says: drawing the mesh costs the same."""
         self.studio.supersample = samples
-        photo = self.studio.take(self.surface.posed(axis_angle, root), camera, self.light, self.sheen)
+        photo = self.studio.take(self.surface.posed(axis_angle, root), camera, self.light)
         return MaskedPicture((photo.image / np.float32(255)).astype(np.float32), photo.mask > 127)
 
 

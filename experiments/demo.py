@@ -62,7 +62,7 @@ def fields_avatar(out: Path) -> Path:
 def stages(out: Path) -> list[Stage]:
     """The commands of the demo, as a user would type them."""
     films, avatar, fields, report = out / "films", out / "avatar.glb", fields_avatar(out), out / "report"
-    sheet, selfscan = out / "contact.jpg", partial(command, "selfscan")
+    sheet, selfscan = out / "contact.png", partial(command, "selfscan")
     how = ["--raw", "--keypoints", "--size", str(SIZE), "--seconds", str(TURN), "--sheen", str(SHEEN)]
     known = ["--sex", "male", "--stature", str(STATURE)]
     beside = [f"builtin={path}" for path in (fields.with_name("first.glb"), fields)]
@@ -87,7 +87,7 @@ def summary(out: Path, seconds: dict[str, float]) -> list[str]:
         "",
         "look at, in this order:",
         f"  1. {out / 'avatar.mp4'}: the avatar of the trained fields, filmed (its scene: {out / 'film.toml'})",
-        f"  2. {out / 'contact.jpg'}: the true person beside the first avatar, and beside that of the fields",
+        f"  2. {out / 'contact.png'}: the true person beside the first avatar, and beside that of the fields",
         f"  3. {out / 'report' / 'bench.html'}: how exact and how fast each way to draw it is",
         "",
         "type next, to turn what `make` found to be nearer to the videos:",

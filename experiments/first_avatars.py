@@ -40,6 +40,7 @@ COLUMNS = (
     ("the same on the aligned head, mm", ("beside", "t_pose", "head", "face_on_head_mm"), 1),
     ("novel views, box, dB", ("novel_view", "*", "psnr_db"), 1),
     ("novel views, mask, dB", ("novel_view", "*", "psnr_mask_db"), 1),
+    ("novel poses, box, dB", ("novel_pose", "*", "psnr_db"), 1),
     ("novel poses, mask, dB", ("novel_pose", "*", "psnr_mask_db"), 1),
     ("eyes in novel views, dB", ("novel_view", "eyes", "psnr_db"), 1),
 )

@@ -59,7 +59,7 @@ def write_pictures(
     pictures = []
     for frame in frames:
         at = truth.frames[frame]
-        photo = studio.take(studio.posed(shots.axis_angle[at], shots.root[at]), shots.camera, light, 0.0)
+        photo = studio.take(studio.posed(shots.axis_angle[at], shots.root[at]), shots.camera, light)
         pictures.append(photo.image)
     height, width = pictures[0].shape[:2]
     left = max(0, (width - height) // 2)

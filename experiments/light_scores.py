@@ -122,7 +122,7 @@ def compare(
     vertices = studio.posed(view.axis_angle, view.root)
     mask = region_of(view, VIEW_REGION[view.view])[0]
     true = {
-        name: studio.take(vertices, view.camera, one, 0.0).image[mask] / 255
+        name: studio.take(vertices, view.camera, one).image[mask] / 255
         for name, one in (("captured", light), ("albedo", EVEN), ("key", KEY))
     }
     own, before = run.world_light, shown.light

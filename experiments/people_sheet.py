@@ -41,7 +41,7 @@ def tiles(studio: Studio, side: int) -> list[UInt8[np.ndarray, "side _ 3"]]:
             seen = np.concatenate([face + [0, 0.06, 0], face - [0, 0.10, 0]])
         middle = (seen.min(0) + seen.max(0)) / 2
         camera = frame_points(middle + [0, 0.2, 3.4], middle, seen, side)
-        photo = studio.take(vertices, camera, STILL["fixed"], 0.0)
+        photo = studio.take(vertices, camera, STILL["fixed"])
         picture = np.where(photo.mask[..., None] > 0, photo.image, np.uint8(GROUND))
         # people are narrow
         cut = side // 5 if len(shots) < len(SIDES) else side // 8

@@ -100,11 +100,11 @@ def close_ups(
     folder.mkdir(exist_ok=True)
     tiles = {}
     if out.name == "ours":
-        studio = Studio(drawer.raster, true_subject(capture, truth), supersample=2)
+        studio = Studio(drawer.raster, true_subject(capture, truth), 2, float(facts.get("sheen", 0.0)))
         light = light_of(facts["light"], "body", int(facts["seed"]))
         for place, camera in cameras(drawer.surface.joints).items():
             posed = truth.posed(*pose)
-            photo = studio.take(posed, camera, light, float(facts.get("sheen", 0.0)))
+            photo = studio.take(posed, camera, light)
             tiles["truth", place, "colour"] = photo.image * (photo.mask > 127)[..., None]
             tiles["truth", place, "shape"] = lit_shape(drawer.raster, posed, truth.faces, camera)
     for place, camera in cameras(drawer.surface.joints).items():

@@ -47,7 +47,7 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
     person = _person(subject)
     with open_context() as context:
         rasteriser = Rasteriser(context)
-        studio = Studio(rasteriser, person)
+        studio = Studio(rasteriser, person, sheen=config.sheen)
         videos = plan_videos(studio, config.frames, config.size)
         visible = visible_faces(rasteriser, person.vertices, person.faces)
         exact = config.template == "registered"
@@ -89,12 +89,12 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
     lights = {part: light_of(config.light, part, config.seed) for part in PARTS}
     with open_context() as context, whole_folder(out) as folder:
         rasteriser = Rasteriser(context)
-        plan = film_raw(folder, Studio(rasteriser, person, 2), lights, config, raw)
+        plan = film_raw(folder, Studio(rasteriser, person, 2, config.sheen), lights, config.size, raw, config.seed)
         if config.truth:
             write_rest(folder / "truth", person, visible_faces(rasteriser, person.vertices, person.faces))
             if raw.held_out:
                 looks = DetectorOf(mistakes_of(raw), config.seed) if raw.keypoints else None
-                _take_held_out(folder / "truth", Studio(rasteriser, person), config, looks)
+                _take_held_out(folder / "truth", Studio(rasteriser, person, sheen=config.sheen), config, looks)
         frames = {part: len(shots.root) for part, shots in plan.items()}
         said = {"format": "selfscan-raw-truth", "rate": RAW_RATE, "mask_step": MASK_STEP, **facts, "frames": frames}
         write_json(folder / "truth" / "raw.json", said)
@@ -154,7 +154,7 @@ def _film(
         write_frames(truth / "video.npz", shots.axis_angle, shots.root, shots.cameras[0], present)
         light = light_of(config.light or "even", part, config.seed)
         for i, camera in enumerate(progress(shots.cameras, f"filming {part}")):
-            photo = studio.take(studio.posed(shots.axis_angle[i], shots.root[i]), camera, light, config.sheen)
+            photo = studio.take(studio.posed(shots.axis_angle[i], shots.root[i]), camera, light)
             write_photo(out, f"{i:06d}", photo)
         if part == "head":
             similarity = seeded_similarity(config.seed)
@@ -174,9 +174,9 @@ def _take_held_out(folder: Path, studio: Studio, config: SynthConfig, looks: Det
     light = light_of(config.light or "even", "body", config.seed)
     every, seed = config.truth_every, config.seed
     sets = {"novel_pose": novel_poses(seed)[::every], "novel_view": novel_views(seed)[::every]}
-    finer = Studio(studio.rasteriser, studio.subject, supersample=2)
+    finer = Studio(studio.rasteriser, studio.subject, 2, studio.sheen)
     for number, (name, stands) in enumerate(sets.items(), 1):
         seed = 100_000 * number + config.seed
-        taken = take_set(finer, stands, folder / name, light, config.sheen, seed, looks)
+        taken = take_set(finer, stands, folder / name, light, seed, looks)
         for _ in progress(taken, f"{name.replace('_', ' ')}s, held out", 4 * len(stands)):
             pass

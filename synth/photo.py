@@ -30,10 +30,13 @@ class Photo(NamedTuple):
 
 
 class Studio:
-    """A subject before the camera: what does not change from picture to picture is prepared once."""
+    """A subject before the camera: what does not change from picture to picture is prepared once.
 
-    def __init__(self, rasteriser: Rasteriser, subject: SynthSubject, supersample: int = 3):
-        self.rasteriser, self.subject, self.supersample = rasteriser, subject, supersample
+    `sheen`: how much the subject shines (synth/light.py), 0 to 1.
+    """
+
+    def __init__(self, rasteriser: Rasteriser, subject: SynthSubject, supersample: int = 3, sheen: float = 0.0):
+        self.rasteriser, self.subject, self.supersample, self.sheen = rasteriser, subject, supersample, sheen
         self.welded = weld(subject.vertices)
         self.face_part = subject.part[subject.faces[:, 0]]
         self.lighting = RoomLighting(rasteriser, subject.faces, self.welded)
@@ -47,10 +50,10 @@ class Studio:
         places = self.subject.vertices if moved is None else self.subject.vertices + moved
         return skin_points(places, self.subject.skin, transforms)
 
-    def take(self, vertices: Float[Array, "vertices 3"], camera: Camera, light: FilmLight, sheen: float) -> Photo:
+    def take(self, vertices: Float[Array, "vertices 3"], camera: Camera, light: FilmLight) -> Photo:
         """A picture of posed vertices."""
         n = self.supersample
-        samples, hit, face = self._samples(vertices, camera, light, sheen, None)
+        samples, hit, face = self._samples(vertices, camera, light, None)
         image = np.round(block_sum(samples, n) / n**2).astype(np.uint8)
         covered = 2 * block_sum(hit.astype(np.uint8), n) >= n**2
         labels = np.zeros(hit.shape, np.uint8)
@@ -60,13 +63,12 @@ class Studio:
         return Photo(image, np.where(covered, 255, 0).astype(np.uint8), parts)
 
     def expose(
-        self, vertices: Float[Array, "vertices 3"], camera: Camera, light: FilmLight, sheen: float,
-        lit: VertexLight | None = None,
-    ) -> tuple[Float[Array, "height width 3"], Float[Array, "height width"]]:  # fmt: skip
+        self, vertices: Float[Array, "vertices 3"], camera: Camera, light: FilmLight, lit: VertexLight | None = None
+    ) -> tuple[Float[Array, "height width 3"], Float[Array, "height width"]]:
         """A picture to lay over another one, color + (1 - coverage) * what lies behind: color, sRGB 0 to 255, times
         coverage, and coverage, the share of the pixel that shows the person. `lit`: light in a room, found before."""
         n = self.supersample
-        samples, hit, _ = self._samples(vertices, camera, light, sheen, lit)
+        samples, hit, _ = self._samples(vertices, camera, light, lit)
         return block_sum(samples, n) / n**2, block_sum(hit.astype(np.float32), n) / n**2
 
     def _samples(
@@ -74,7 +76,6 @@ class Studio:
         vertices: Float[Array, "vertices 3"],
         camera: Camera,
         light: FilmLight,
-        sheen: float,
         lit: VertexLight | None,
     ) -> tuple[Float[Array, "height width 3"], Bool[Array, "height width"], Int[Array, "hits"]]:
         """Colours of all samples, 0 where nothing is; where something is; and the faces there."""
@@ -84,7 +85,7 @@ class Studio:
         hit = fragments.face >= 0
         face, weights = fragments.face[hit], fragments.barycentric[hit]
         color = self._color(face, weights)
-        if isinstance(light, Room) or light.key > 0 or sheen > 0:
+        if isinstance(light, Room) or light.key > 0 or self.sheen > 0:
             corners = self.subject.faces[face]
             normals = blended(vertex_normals(vertices, self.subject.faces, self.welded), corners, weights)
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
@@ -96,9 +97,9 @@ class Studio:
                 arriving = lit.at(corners, weights, behind=facing < 0)
                 normals = np.where(facing[:, None] < 0, -normals, normals)
                 color = shade_in_room(color, normals, towards_eye, arriving, light)
-                color += 255 * sheen_of(np.abs(facing), sheen)[:, None]
+                color += 255 * sheen_of(np.abs(facing), self.sheen)[:, None]
             else:
-                color = shade(color, normals, towards_eye, light, sheen)
+                color = shade(color, normals, towards_eye, light, self.sheen)
         samples = np.zeros((*hit.shape, 3), np.float32)
         samples[hit] = np.clip(color, 0, 255)
         return samples, hit, face

@@ -175,7 +175,6 @@ def take_set(
     stands: list[BarePose],
     folder: Path,
     light: FilmLight,
-    sheen: float,
     seed: int,
     looks: DetectorOf | None = None,
 ) -> Iterator[str]:
@@ -192,7 +191,7 @@ def take_set(
         head = turn[0] @ turn[JOINTS.index("spine1")] @ turn[JOINTS.index("spine2")] @ turn[JOINTS.index("spine3")]
         head = head @ turn[JOINTS.index("neck")] @ turn[JOINTS.index("head")]
         for view, camera in view_cameras(studio, vertices, seed + 1000 * (i + 1), head).items():
-            photo = studio.take(vertices, camera, light, sheen)
+            photo = studio.take(vertices, camera, light)
             name = f"{i:06d}_{view}"
             write_photo(folder, name, photo)
             if looks is not None:

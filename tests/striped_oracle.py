@@ -122,7 +122,7 @@ def film_oracle(folder):
     sets = {"novel_pose": poses, "novel_view": [(turned, np.zeros(3))]}
     for name, stands in sets.items():
         looks = DetectorOf(Mistakes(2.0, 0.0, clumsy=False), 0)
-        list(take_set(studio, stands, capture / "truth" / name, light, 0.0, seed=1, looks=looks))
+        list(take_set(studio, stands, capture / "truth" / name, light, seed=1, looks=looks))
     raster.release()
     context.release()
     write_avatar(folder / "oracle.glb", oracle_avatar(subject))

@@ -48,7 +48,7 @@ BROW = 0.65
 FACE, THROAT = 0.06, 0.06
 # metres over the head's lowest skin from which on what stands off behind the face is surely hair
 CHIN = 0.08
-# metres before the middle of the skull from which a thin lock is not told from a cheek
+# metres before the middle of the skull from which nothing distinguishes a thin lock from a cheek
 CHEEK = 0.05
 # metres behind the middle of the skull where the neck's back begins
 NAPE = 0.06

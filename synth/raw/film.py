@@ -15,7 +15,7 @@ from files.whole import write_json
 from player.film.encoder import X264, encode
 from synth.film import write_frames
 from synth.light import FilmLight
-from synth.options import RawConfig, SynthConfig
+from synth.options import RawConfig
 from synth.photo import Studio
 from synth.raw.acting import FaceActs, acting
 from synth.raw.backdrop import Backdrop, backdrop
@@ -38,20 +38,18 @@ def mistakes_of(config: RawConfig) -> Mistakes:
     return Mistakes(config.keypoint_noise, config.keypoint_bias / 100)
 
 
-def film_raw(folder: Path, studio: Studio, lights: dict[str, FilmLight], filming: SynthConfig, config: RawConfig):
+def film_raw(folder: Path, studio: Studio, lights: dict[str, FilmLight], size: int, config: RawConfig, seed: int):
     """Write the four videos, their keypoints and, in truth/, what is hidden from other stages; returns the shots."""
-    seed, size, sheen = filming.seed, filming.size, filming.sheen
-    assert size is not None
     wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
     plan = {part: plan_raw_video(studio, part, wide, config.seconds, RATE, config.sway, seed) for part in PARTS}
     face = plan_face_film(studio, wide, config.seconds, RATE, config.sway, seed) if config.face_film else None
     acts = face and acting(studio.subject, len(face.root), seed)
     for number, (part, shots) in enumerate(plan.items()):
-        frames = _frames(folder, studio, shots, lights[part], sheen, config, [seed, number])
+        frames = _frames(folder, studio, shots, lights[part], config, [seed, number])
         _write(folder, FILES[part], shots, frames)
     if face is not None and acts is not None:
-        actor = Studio(studio.rasteriser, acts.subject, studio.supersample)
-        frames = _frames(folder, actor, face, lights["head"], sheen, config, [seed, len(PARTS)], acts)
+        actor = Studio(studio.rasteriser, acts.subject, studio.supersample, studio.sheen)
+        frames = _frames(folder, actor, face, lights["head"], config, [seed, len(PARTS)], acts)
         _write(folder, FACE_FILE, face, frames)
         write_json(folder / "truth" / "face" / "face.json", acts.truth)
         plan["face"] = face
@@ -67,8 +65,8 @@ def _write(folder: Path, name: str, shots: RawShots, frames: Iterator[UInt8[Arra
 
 
 def _frames(
-    folder: Path, studio: Studio, shots: RawShots, light: FilmLight, sheen: float, config: RawConfig,
-    seed: list[int], acts: FaceActs | None = None,
+    folder: Path, studio: Studio, shots: RawShots, light: FilmLight, config: RawConfig, seed: list[int],
+    acts: FaceActs | None = None,
 ) -> Iterator[UInt8[Array, "height width 4"]]:  # fmt: skip
     """One video, RGBA; keypoints and masks are written by the way."""
     count, part = len(shots.root), shots.part
@@ -84,7 +82,7 @@ def _frames(
         picture, coverage, found = behind.picture, None, None
         if shots.present[i]:
             vertices = studio.posed(shots.axis_angle[i], shots.root[i], acts and acts.vertices(i))
-            picture, coverage = taken(studio, shots, behind, vertices, i, light, lighting.at(i), sheen)
+            picture, coverage = taken(studio, shots, behind, vertices, i, light, lighting.at(i))
             if config.keypoints:
                 found = detector.look(shots.axis_angle[i], shots.root[i], vertices, acts and acts.named(i))
         if config.keypoints:
@@ -104,7 +102,6 @@ def taken(
     i: int,
     light: FilmLight,
     lit: VertexLight | None,
-    sheen: float = 0.0,
 ) -> tuple[Float[Array, "height width 3"], UInt8[Array, "height width"]]:
     """The person in the room, and the person's mask (0 to 255)."""
     size = shots.camera.size
@@ -117,7 +114,7 @@ def taken(
     high = np.clip(np.ceil(pixels.max(0, initial=-np.inf)) + 1, 0, size).astype(int)
     (left, top), (width, height) = low.tolist(), (high - low).tolist()
     if min(width, height) > 0:
-        color, share = studio.expose(vertices, shots.camera.cropped(left, top, (width, height)), light, sheen, lit)
+        color, share = studio.expose(vertices, shots.camera.cropped(left, top, (width, height)), light, lit)
         window = np.s_[top : top + height, left : left + width]
         picture[window] = color + (1 - share[..., None]) * picture[window]
         coverage[window] = np.round(255 * share)

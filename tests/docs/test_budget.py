@@ -17,10 +17,10 @@ BUDGET = {
     "bake": 6_133,
     "player": 19_451,
     "shaders": 915,
-    "synth": 3_992,
+    "synth": 3_989,
     "bench": 4_768,
     "selfscan": 526,
-    "tests": 37_514,
+    "tests": 37_515,
 }
 
 

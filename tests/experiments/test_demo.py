@@ -39,14 +39,14 @@ def test_complete_stages_are_kept_and_one_without_its_product_stops_the_demo(tmp
 
 def test_the_demo_ends_with_film_sheet_and_report_and_says_times_and_what_was_missed(tmp_path):
     names = [stage.product.relative_to(tmp_path).as_posix() for stage in stages(tmp_path)]
-    assert names[-4:] == ["avatar.making/fields_15.glb", "avatar.mp4", "contact.jpg", "report/bench.json"]
+    assert names[-4:] == ["avatar.making/fields_15.glb", "avatar.mp4", "contact.png", "report/bench.json"]
     avatar = replace(mannequin(), provenance={"baked": {"missed": ["34.7 dB against the field"]}})
     fields_avatar(tmp_path).parent.mkdir()
     write_avatar(fields_avatar(tmp_path), avatar)
     text = "\n".join(summary(tmp_path, {"train": 61.2, "bake": 12.0}))
     assert "train" in text and "61 s" in text and "73 s" in text
     assert "missed: 34.7 dB" in text and "film.toml" in text
-    assert text.index("avatar.mp4") < text.index("contact.jpg") < text.index("bench.html")
+    assert text.index("avatar.mp4") < text.index("contact.png") < text.index("bench.html")
     assert text.endswith(f"selfscan play {tmp_path / 'avatar.glb'}")
 
 

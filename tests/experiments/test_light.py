@@ -116,7 +116,7 @@ def test_a_field_is_lit_by_each_light_in_turn_and_then_as_it_was(monkeypatch, ow
     monkeypatch.setattr("experiments.light_scores.turned_away", lambda *_: np.zeros((1, 1), bool))
     drawer = _as_bright_as_its_light("before")
     studio = Mock(spec=Studio, posed=lambda *_: np.zeros((3, 3)))
-    studio.take = lambda vertices, camera, light, sheen: SimpleNamespace(image=np.full((1, 1, 3), 255 * light.ambient))
+    studio.take = lambda vertices, camera, light: SimpleNamespace(image=np.full((1, 1, 3), 255 * light.ambient))
     run = Mock(spec=Run, field=Mock(spec=FusedField), world_light=own)
     view = Mock(spec=HeldOutView, view="body", axis_angle=None, root=None, camera=None)
     found = compare(drawer, run, studio, view, light_of("fixed", "body", 0), np.zeros(3))

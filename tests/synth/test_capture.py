@@ -154,7 +154,7 @@ def test_head_and_hand_pixels_are_two_millimetres_or_less(capture):
 
 def test_held_out_pictures_read_back(rasteriser, studio, subject, tmp_path):
     stand = 0.1 * np.random.default_rng(0).standard_normal((52, 3)), np.array([0.5, 0, -2])
-    names = list(take_set(studio, [stand], tmp_path / "truth" / "novel_pose", light_of("even", "body", 0), 0.0, 0))
+    names = list(take_set(studio, [stand], tmp_path / "truth" / "novel_pose", light_of("even", "body", 0), 0))
     views = read_held_out(tmp_path, "novel_pose")
     assert [view.name for view in views] == names
     vertices = studio.posed(*stand)
@@ -189,7 +189,7 @@ def test_a_cut_out_quad_keeps_its_opaque_half_and_a_textured_one_is_drawn_texel_
     texture = np.random.default_rng(0).integers(0, 256, (8, 8, 3), dtype=np.uint8)
     quad = textured_quad([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], texture)
     camera = Camera(np.array([[16.0, 0, 4], [0, 16, 4], [0, 0, 1]]), look_at([0, 0, 4], [0, 0, 0]), (8, 8))
-    photo = Studio(rasteriser, quad, 1).take(quad.vertices.astype(np.float64), camera, light_of("even", "body", 0), 0.0)
+    photo = Studio(rasteriser, quad, 1).take(quad.vertices.astype(np.float64), camera, light_of("even", "body", 0))
     assert np.abs(photo.image.astype(int) - texture).max() <= 1  # pixel centres fall on texel centres
     assert (photo.mask == 255).all() and (photo.parts == 1).all()
 
@@ -198,13 +198,14 @@ def test_a_picture_in_the_room_keeps_mask_and_parts_and_is_darker_on_the_far_sid
     """Studio with a room: the window is at the picture's left, the body's right half is darker than its left one."""
     shots = plan_videos(studio, 4, 64)["body"]
     vertices = studio.posed(shots.axis_angle[0], shots.root[0])
-    even = studio.take(vertices, shots.cameras[0], light_of("even", "body", 0), 0.0)
-    room = studio.take(vertices, shots.cameras[0], light_of("room", "body", 0), 0.0)
+    even = studio.take(vertices, shots.cameras[0], light_of("even", "body", 0))
+    room = studio.take(vertices, shots.cameras[0], light_of("room", "body", 0))
     np.testing.assert_array_equal(room.mask, even.mask)
     np.testing.assert_array_equal(room.parts, even.parts)
     assert (room.image[even.mask == 0] == even.image[even.mask == 0]).all()
     column = np.nonzero(even.mask)[1]
     ratio = room.image[even.mask > 0].sum(1) / np.maximum(even.image[even.mask > 0].sum(1, dtype=float), 1)
     assert ratio[column < 32].mean() > 1.1 * ratio[column >= 32].mean()
-    sheen = studio.take(vertices, shots.cameras[0], light_of("room", "body", 0), 0.5)
+    shining = Studio(studio.rasteriser, studio.subject, 1, 0.5)
+    sheen = shining.take(vertices, shots.cameras[0], light_of("room", "body", 0))
     assert (sheen.image.astype(int) - room.image).min() >= 0 < (sheen.image.astype(int) - room.image).max()

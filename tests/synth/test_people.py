@@ -118,7 +118,7 @@ def test_masks_and_parts_hold_hair_and_dress(woman, rasteriser):
     corners = np.array([[-0.4, -0.9, 0], [0.4, 0.8, 0]])
     camera = frame_points([0, 0, -3], np.zeros(3), corners, 96)  # from behind
     whole, naked = (
-        Studio(rasteriser, who, 1).take(who.vertices, camera, STILL["even"], 0.0) for who in (subject, bare)
+        Studio(rasteriser, who, 1).take(who.vertices, camera, STILL["even"]) for who in (subject, bare)
     )
     assert ((naked.mask > 0) <= (whole.mask > 0)).mean() > 0.999
     assert (whole.mask > 0).sum() > 1.25 * (naked.mask > 0).sum()
