@@ -2,11 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
+import pytest
+from PIL import Image
 from refusals import refused
 
 from avatar.gltf.avatar_file import write_avatar
 from command.errors import AssetError
 from command.stages import Stage, run_stages
+from experiments.beside_sheet import VIEWS, write_sheet
 from experiments.demo import SCENE, fields_avatar, film, stages, summary
 from player.scene.mannequin import mannequin
 from player.scene.scene_file import read_scene
@@ -73,3 +77,14 @@ def test_the_film_is_a_scene_that_shows_the_view_mode_of_the_avatar(tmp_path, mo
     scene = read_scene(tmp_path / "film.toml")
     assert scene.effects.view == avatar.default_view == "network"
     assert "orbit" in (tmp_path / "film.toml").read_text() and "antialiasing" in SCENE
+
+
+@pytest.mark.parametrize(("people", "size"), [(1, (16, 2)), (2, (16, 4)), (3, (32, 4)), (5, (32, 6))])
+def test_a_sheet_has_one_column_of_two_people_at_most_and_two_of_more(tmp_path, monkeypatch, people, size):
+    for kind, shade in (("true", 40), ("avatar", 200)):
+        tiles = [np.full((2, 2, 3), shade, np.uint8)] * len(VIEWS)
+        monkeypatch.setattr(f"experiments.beside_sheet.{kind}_tiles", lambda *_, tiles=tiles: tiles)
+    write_sheet(tmp_path / "sheet.png", [("builtin", "me.glb")] * people, side=2)
+    with Image.open(tmp_path / "sheet.png") as page:
+        assert (page.format, page.size) == ("PNG", size)
+        assert np.asarray(page)[0, :4, 0].tolist() == [40, 40, 200, 200]
