@@ -1,7 +1,9 @@
-"""Filming the four raw videos, frame after frame, in constant memory."""
+"""Filming the four raw videos, side by side, each frame after frame in constant memory."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -10,9 +12,12 @@ from PIL import Image
 
 from avatar.camera import project
 from avatar.skeleton import PARTS
-from command.progress import progress
+from command.progress import ProgressBoard, Reporter
+from command.workers import run_jobs
 from files.whole import write_json
+from player.draw.raster import Rasteriser
 from player.film.encoder import X264, encode
+from player.gl.context import open_context
 from synth.film import write_frames
 from synth.light import FilmLight
 from synth.options import RawConfig
@@ -23,6 +28,7 @@ from synth.raw.detector import Detector, Mistakes
 from synth.raw.movement import RawShots, plan_face_film, plan_raw_video
 from synth.raw.phone import phone_of
 from synth.room import Room, VertexLight
+from synth.subject import SynthSubject
 
 # what the files are called
 FILES = {"body": "body.mp4", "head": "head.mp4", "hand_left": "left.mp4", "hand_right": "right.mp4"}
@@ -38,30 +44,62 @@ def mistakes_of(config: RawConfig) -> Mistakes:
     return Mistakes(config.keypoint_noise, config.keypoint_bias / 100)
 
 
-def film_raw(folder: Path, studio: Studio, lights: dict[str, FilmLight], size: int, config: RawConfig, seed: int):
+class Film(NamedTuple):
+    """One of the raw videos, for a worker process."""
+
+    folder: Path
+    file: str
+    subject: SynthSubject
+    supersample: int
+    sheen: float
+    shots: RawShots
+    light: FilmLight
+    config: RawConfig
+    seed: list[int]
+    acts: FaceActs | None = None
+
+
+def film_raw(
+    folder: Path, studio: Studio, lights: dict[str, FilmLight], size: int, config: RawConfig, seed: int
+) -> dict[str, RawShots]:
     """Write the four videos, their keypoints and, in truth/, what is hidden from other stages; returns the shots."""
     wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
     plan = {part: plan_raw_video(studio, part, wide, config.seconds, RATE, config.sway, seed) for part in PARTS}
-    face = plan_face_film(studio, wide, config.seconds, RATE, config.sway, seed) if config.face_film else None
-    acts = face and acting(studio.subject, len(face.root), seed)
-    for number, (part, shots) in enumerate(plan.items()):
-        frames = _frames(folder, studio, shots, lights[part], config, [seed, number])
-        _write(folder, FILES[part], shots, frames)
-    if face is not None and acts is not None:
-        actor = Studio(studio.rasteriser, acts.subject, studio.supersample, studio.sheen)
-        frames = _frames(folder, actor, face, lights["head"], config, [seed, len(PARTS)], acts)
-        _write(folder, FACE_FILE, face, frames)
-        write_json(folder / "truth" / "face" / "face.json", acts.truth)
-        plan["face"] = face
+    films = {
+        part: Film(folder, FILES[part], studio.subject, studio.supersample, studio.sheen, shots, lights[part], config,
+                   [seed, number])
+        for number, (part, shots) in enumerate(plan.items())
+    }  # fmt: skip
+    if config.face_film:
+        shots = plan["face"] = plan_face_film(studio, wide, config.seconds, RATE, config.sway, seed)
+        acts = acting(studio.subject, len(shots.root), seed)
+        films["face"] = films["head"]._replace(
+            file=FACE_FILE, subject=acts.subject, shots=shots, seed=[seed, len(PARTS)], acts=acts
+        )
+    workers = min(os.cpu_count() or 1, len(films))
+    board = ProgressBoard({name: len(film.shots.root) for name, film in films.items()}, workers)
+    run_jobs(films, _filmed, board, workers)
     return plan
 
 
-def _write(folder: Path, name: str, shots: RawShots, frames: Iterator[UInt8[Array, "height width 4"]]) -> None:
-    truth = folder / "truth" / shots.part
+def _filmed(film: Film, report: Reporter) -> None:
+    """Write one video, and what belongs to it."""
+    shots = film.shots
+    truth = film.folder / "truth" / shots.part
     (truth / "masks").mkdir(parents=True)
-    frames = progress(frames, f"filming {shots.part}", len(shots.root))
-    encode(str(folder / name), ".mp4", X264, frames, shots.camera.size, RATE)
+
+    def counted(frames: Iterator[UInt8[Array, "height width 4"]]) -> Iterator[UInt8[Array, "height width 4"]]:
+        for number, frame in enumerate(frames, 1):
+            yield frame
+            report.step(number, "")
+
+    with open_context() as context:
+        studio = Studio(Rasteriser(context), film.subject, film.supersample, film.sheen)
+        frames = _frames(film.folder, studio, shots, film.light, film.config, film.seed, film.acts)
+        encode(str(film.folder / film.file), ".mp4", X264, counted(frames), shots.camera.size, RATE)
     write_frames(truth / "video.npz", shots.axis_angle, shots.root, shots.camera, shots.present)
+    if film.acts is not None:
+        write_json(truth / "face.json", film.acts.truth)
 
 
 def _frames(
