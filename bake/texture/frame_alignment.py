@@ -72,14 +72,14 @@ def aligned_frames(
         row, column = row - row.min(), column - column.min()
         known = np.zeros((row.max() + 1, column.max() + 1), bool)
         known[row, column] = True
-        drawn, shown = np.zeros((2, *known.shape, 3))
+        drawn, shown = np.zeros((2, *known.shape, 3), np.float32)
         drawn[row, column] = before + (matrix @ change) / weight
         shown[row, column] = before + equations.wanted[rows] / weight
         shift = frame_shift(drawn, shown, known, wide, min(FARTHEST / video.pixel, 2 * wide))
         there, whole = moved_colors(shown, known, shift)
         colors = np.where(whole[..., None], there, shown)[row, column]
         wanted[rows] = (colors - before) * weight
-        return float(np.linalg.norm(shift[known], axis=1).sum())
+        return float(np.hypot(*shift[known].T).sum(dtype=np.float64))
 
     total = sum(on_all_cores(moved, range(len(video.frames))))
     return equations._replace(wanted=wanted), video.pixel * total / max(int(ends[-1]), 1)
@@ -93,11 +93,11 @@ def frame_shift(
 
     `drawn` and `frame` hold colors, [0, 1], where `known`; `window` moves as one, by `farthest` at most, pixels.
     """
-    shift = np.zeros((*known.shape, 2))
+    shift = np.zeros((*known.shape, 2), np.float32)
     for least, share in BLURS:
         blur = max(least, share * window)
         k = max(int(blur / COARSE), 1)
-        part = shrunk(known[..., None].astype(np.float64), k)
+        part = shrunk(known[..., None].astype(np.float32), k)
         model, ours = (shrunk(np.where(known[..., None], one, 0), k) / np.maximum(part, 1e-6) for one in (drawn, frame))
         fewer = ShiftWindow(window / k, farthest / k, blur / k, STAY * k**2)
         shift = k * grown(shifted(model, ours, part[..., 0] > 0.5, shrunk(shift, k) / k, fewer), k, known.shape)
@@ -112,23 +112,21 @@ def shifted(
     blur = window.blur
     model, inside = _blurred(drawn, known, blur), _gaussian(known.astype(np.float32), blur)
     ours = _blurred(frame, known, blur)
-    down, across = np.gradient(ours, axis=(0, 1))
-    sure = np.where(inside > 0.9, 1.0, 0.0) * known
-    read = np.concatenate([ours, down, across, sure[..., None]], -1)
+    sure = (inside > 0.9) & known
+    read = np.concatenate([ours, *np.gradient(ours, axis=(0, 1)), sure[..., None]], -1)
     # the rest of the picture counts nothing
     where = np.nonzero(sure)
+    wanted, places, sums = model[where], np.stack(where, -1).astype(np.float32), np.zeros((*known.shape, 5), np.float32)
     for _ in range(STEPS):
-        there = _read(read, np.stack(where, -1) + shift[where])
-        left = model[where] - there[:, :3]
-        gy, gx, weight = there[:, 3:6], there[:, 6:9], there[:, 9]
-        sums = np.zeros((5, *known.shape), np.float32)
-        for i, (a, b) in enumerate(((gy, gy), (gy, gx), (gx, gx), (gy, left), (gx, left))):
-            sums[i][where] = (a * b).sum(-1) * weight
-        yy, yx, xx, yl, xl = (_gaussian(sums[i], window.wide) for i in range(5))
+        there = _read(read, places + shift[where])
+        left, gy, gx, weight = wanted - there[:, :3], there[:, 3:6], there[:, 6:9], there[:, 9]
+        pairs = ((gy, gy), (gy, gx), (gx, gx), (gy, left), (gx, left))
+        sums[where] = np.stack([np.einsum("nc,nc->n", a, b) * weight for a, b in pairs], -1)
+        yy, yx, xx, yl, xl = np.moveaxis(_gaussian(sums, window.wide), -1, 0)
         yy, xx = yy + window.stay, xx + window.stay
         determinant = yy * xx - yx * yx
         shift = shift + np.stack([(xx * yl - yx * xl) / determinant, (yy * xl - yx * yl) / determinant], -1)
-        length = np.linalg.norm(shift, axis=-1, keepdims=True)
+        length = np.hypot(shift[..., :1], shift[..., 1:])
         shift *= np.minimum(1, window.farthest / np.maximum(length, 1e-9))
     return shift
 
@@ -138,7 +136,7 @@ def moved_colors(
 ) -> tuple[Float[Array, "height width 3"], Bool[Array, "height width"]]:
     """The frame's colors beside each pixel, and where all of what they are read from is known."""
     where = np.nonzero(known)
-    read = np.concatenate([frame, known[..., None].astype(np.float64)], -1)
+    read = np.concatenate([frame, known[..., None]], -1, dtype=np.float32)
     found, colors, whole = _read(read, np.stack(where, -1) + shift[where]), np.zeros_like(frame), np.zeros_like(known)
     colors[where], whole[where] = found[:, :3], found[:, 3] > 0.999
     return colors, whole
@@ -181,5 +179,17 @@ def _read(
     image: Float[Array, "height width channels"], places: Float[Array, "places 2"]
 ) -> Float[Array, "places channels"]:
     """Bilinear reads at (row, column); 0 outside."""
-    at = np.moveaxis(places, -1, 0)
-    return np.stack([map_coordinates(image[..., c], at, order=1) for c in range(image.shape[-1])], -1)
+    last = np.array(image.shape[:2]) - 1
+    first = np.clip(np.floor(places), 0, np.maximum(last - 1, 0)).astype(np.intp)
+    down, across = (places - first).astype(np.float32).T[..., None]
+    at, flat = first @ [image.shape[1], 1], image.reshape(-1, image.shape[-1])
+    right, below = np.minimum(last[::-1], 1) * [1, image.shape[1]]
+
+    def along(row: Integer[Array, "places"]) -> Float[Array, "places channels"]:
+        left = flat.take(row, 0)
+        return left + across * (flat.take(row + right, 0) - left)
+
+    top = along(at)
+    top += down * (along(at + below) - top)
+    top[((places < 0) | (places > last)).any(1)] = 0
+    return top

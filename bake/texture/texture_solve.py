@@ -53,9 +53,9 @@ def laplacian(pairs: Integer[Array, "pairs 2"], weight: Float[Array, "pairs"], c
 
 def solve_change(
     equations: list[Equations], prior: Prior, pairs: Integer[Array, "pairs 2"], *, stiff: Equations | None = None,
-    rounds: int = ROUNDS,
+    rounds: int = ROUNDS, start: Float[Array, "texels channels"] | None = None,
 ) -> Float[Array, "texels channels"]:  # fmt: skip
-    """The change d of the atlas, float32.
+    """The change d of the atlas, float32, sought from `start` on.
 
     `stiff` are equations of few texels each, as those of agreement: they are solved for as a whole in each round.
     """
@@ -75,7 +75,10 @@ def solve_change(
             result += part
         return result
 
-    return conjugate_gradients(apply, precondition, residual, rounds)
+    if start is None:
+        return conjugate_gradients(apply, precondition, residual, rounds)
+    residual -= apply(start)
+    return start + conjugate_gradients(apply, precondition, residual, rounds)
 
 
 def row_blocks(matrix: csr_matrix, columns: int) -> list[csr_matrix]:

@@ -133,17 +133,18 @@ def solve_texture(
     stay = STAY * (found.texel / found.pixel[found.part]) ** STAY_POWER
     smooth = SMOOTH if change is None else SMOOTH_SHINE
     prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
-    equations, belief = found.equations, [np.ones(1, np.float32)] * len(PARTS)
+    equations, belief, blurred = found.equations, [np.ones(1, np.float32)] * len(PARTS), None
     if videos.estimated:
         # each time from where they were: first onto the blur of them all
         for window in WINDOWS:
             # what frames are moved onto need not be solved to the end
-            blurred = solve_change(equations, prior, pairs, stiff=seams, rounds=ROUNDS // 2)
+            rounds = ROUNDS // 2 if blurred is None else ROUNDS // 4
+            blurred = solve_change(equations, prior, pairs, stiff=seams, rounds=rounds, start=blurred)
             equations = moved_onto(found, given, blurred, window, facts)
         moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
         report(f"frames moved onto the texture they agree on, mm: {moved}")
         belief = [doubted(own, blurred) for own in equations]
-    solution = solve_change(equations, prior, pairs, stiff=seams)
+    solution = solve_change(equations, prior, pairs, stiff=seams, start=blurred)
     surface = texel_surface(mesh, found.texel)
     solved = np.clip(within_shown(given + solution, given, surface.points, found.ranges), 0, 1)
     for name, own, sure in zip(PARTS, equations, belief, strict=True):
