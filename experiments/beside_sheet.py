@@ -6,6 +6,7 @@ python -m experiments.beside_sheet sheet.jpg builtin:2=two.glb person.glb=made.g
 import argparse
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -23,9 +24,21 @@ from synth.light import STILL
 from synth.photo import Studio
 
 HEAD, PELVIS = JOINTS.index("head"), JOINTS.index("pelvis")
-# joint, metres over it, azimuth, distance (metres), field of view (degrees)
-VIEWS = ((HEAD, 0.08, 0.0, 0.72, 30), (HEAD, 0.08, 0.9, 0.72, 30), (PELVIS, -0.05, 0.35, 2.9, 38),
-         (PELVIS, -0.05, np.pi, 2.9, 38))  # fmt: skip
+Tile = UInt8[np.ndarray, "side side 3"]
+
+
+class Shot(NamedTuple):
+    """A close-up: a joint, metres over it, azimuth, distance (metres), field of view (degrees)."""
+
+    joint: int
+    over: float
+    azimuth: float
+    distance: float
+    field: float
+
+
+VIEWS = (Shot(HEAD, 0.08, 0.0, 0.72, 30), Shot(HEAD, 0.08, 0.9, 0.72, 30), Shot(PELVIS, -0.05, 0.35, 2.9, 38),
+         Shot(PELVIS, -0.05, np.pi, 2.9, 38))  # fmt: skip
 GROUND = np.array([44, 45, 51], np.uint8)
 ROOT = np.zeros(3)
 
@@ -37,29 +50,29 @@ def hanging_arms() -> Float[np.ndarray, "52 3"]:
     return pose
 
 
-def cameras(joints: Float[np.ndarray, "52 3"], side: int) -> Iterator[Camera]:
+def cameras(joints: Float[np.ndarray, "52 3"], side: int, shots: Iterable[Shot]) -> Iterator[Camera]:
     """Of a person with those joints in pose 0, whose pelvis is at ROOT."""
     place = joint_transforms(hanging_arms(), joints)[:, :3, 3]
-    for joint, over, azimuth, distance, field in VIEWS:
+    for joint, over, azimuth, distance, field in shots:
         target = place[joint] - place[PELVIS] + [0, over, 0]
         yield orbit_camera(target, distance, azimuth, 0.05, (side, side), np.radians(field))
 
 
-def true_tiles(name: str, side: int) -> list[UInt8[np.ndarray, "side side 3"]]:
+def true_tiles(name: str, side: int, shots: Iterable[Shot] = VIEWS) -> list[Tile]:
     """The person that was filmed, in soft light."""
     subject = load_subject(name)
     with open_context() as context:
         studio = Studio(Rasteriser(context), subject, 2)
         vertices = studio.posed(hanging_arms(), ROOT)
-        shots = [studio.take(vertices, camera, STILL["soft"]) for camera in cameras(subject.joints, side)]
-    return [np.where(shot.mask[..., None] > 0, shot.image, GROUND) for shot in shots]
+        photos = [studio.take(vertices, camera, STILL["soft"]) for camera in cameras(subject.joints, side, shots)]
+    return [np.where(photo.mask[..., None] > 0, photo.image, GROUND) for photo in photos]
 
 
-def avatar_tiles(path: str | Path, side: int) -> list[UInt8[np.ndarray, "side side 3"]]:
+def avatar_tiles(path: str | Path, side: int, shots: Iterable[Shot] = VIEWS) -> list[Tile]:
     """The avatar as the player draws it."""
     avatar = read_avatar(path)
     with OffscreenRenderer(avatar, size=(side, side)) as renderer:
-        views = cameras(np.asarray(avatar.joint_positions, np.float64), side)
+        views = cameras(np.asarray(avatar.joint_positions, np.float64), side, shots)
         return [renderer.draw(hanging_arms(), ROOT, camera)[..., :3] for camera in views]
 
 
@@ -71,7 +84,12 @@ def write_sheet(out: Path, pairs: Iterable[tuple[str, str | Path]], side: int = 
         rows.append(np.concatenate([np.concatenate(tiles, 1) for tiles in both], 1))
     high = max(min(2, len(rows)), -(-len(rows) // 2))
     rows += [np.zeros_like(rows[0])] * (-len(rows) % high)
-    sheet = np.concatenate([np.concatenate(rows[at : at + high]) for at in range(0, len(rows), high)], 1)
+    save_tiles(out, [rows[at : at + high] for at in range(0, len(rows), high)])
+
+
+def save_tiles(out: Path, columns: Iterable[Iterable[UInt8[np.ndarray, "high wide 3"]]]) -> None:
+    """Columns of pictures of one size beside each other, as a PNG or a JPEG."""
+    sheet = np.concatenate([np.concatenate(list(column)) for column in columns], 1)
     with whole_file(out, "wb") as file:
         Image.fromarray(sheet).save(file, "PNG" if out.suffix == ".png" else "JPEG", quality=82, optimize=True)
 

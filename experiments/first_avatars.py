@@ -77,22 +77,26 @@ ABOUT = Help(
 )
 
 
+def film_words(options: Any) -> list[str]:
+    """How `synth` films somebody for Options, these or those of `experiments.minutes`."""
+    return ["--raw", "--keypoints", "--held-out", "--truth-every", str(options.truth_every), "--size",
+            str(options.size), "--seconds", f"{options.seconds:g}", "--seed", str(options.seed)]  # fmt: skip
+
+
 def stages(options: Options, name: str, out: Path) -> list[Stage]:
     """The commands of one person."""
     person, sex = person_and_sex(name)
     raw, avatar, quality = out / "raw", out / "me.glb", out / "quality.json"
-    film = ["--raw", "--keypoints", "--held-out", "--truth-every", str(options.truth_every), "--size",
-            str(options.size), "--seconds", f"{options.seconds:g}", "--seed", str(options.seed)]  # fmt: skip
 
     def make() -> int:
         known = ["--sex", sex, "--stature", f"{stature_of(person):.3f}", "--minutes", str(options.minutes)]
         return command("selfscan", "make", raw, "-o", avatar, *known)()
 
     run = avatar.with_suffix(".making") / "first"
+    film = command("selfscan", "synth", person, raw, *film_words(options))
     judge = command("selfscan", "eval", avatar, raw, "--run", run, "--json", quality)
     return [
-        Stage("film four raw videos", raw / "truth" / "raw.json", command("selfscan", "synth", person, raw, *film),
-              FILMING),
+        Stage("film four raw videos", raw / "truth" / "raw.json", film, FILMING),
         Stage("make", avatar, make, int(options.minutes) + 1.0),
         Stage("evaluate", quality, judge, JUDGING),
     ]  # fmt: skip
