@@ -8,6 +8,7 @@ Tests that `make test` runs are named as narrowly as they still fail. Exit code 
 
 import os
 import shutil
+import signal
 import sys
 import tempfile
 import traceback
@@ -18,6 +19,8 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = ("files command avatar geometry capture train player bake shaders synth bench selfscan "
            "experiments tests").split()  # fmt: skip
 HARD = "tests/hard_cases/test_"
+# seconds that tests of an error may take: a loop may have lost its end
+LIMIT = 300
 
 
 class Planted(NamedTuple):
@@ -96,30 +99,39 @@ def copied(place: Path) -> Path:
     return place
 
 
-def outcome(tree: Path, planted: Planted) -> str:
-    """killed, LIVES, or why it could not be planted; the tree is as before."""
-    path = tree / planted.file
-    text = path.read_text("utf-8")
+def planted_in(tree: Path, planted: Planted) -> str:
+    """killed, LIVES, or why it could not be planted."""
+    text = (tree / planted.file).read_text("utf-8")
     if text.count(planted.old) != 1:
         return f"NOT PLANTED: the old text stands there {text.count(planted.old)} times"
-    path.write_text(text.replace(planted.old, planted.new), "utf-8")
-    words = ["-q", "-x", "-m", "not slow", "--jaxtyping-packages=", *planted.tests.split()]
+    return outcome(tree, planted.file, text.replace(planted.old, planted.new), planted.tests)
+
+
+def outcome(tree: Path, file: str, code: str, tests: str) -> str:
+    """killed, LIVES or NOT TRIED, with a file's text replaced; the tree is as before."""
+    path = tree / file
+    text = path.read_text("utf-8")
+    path.write_text(code, "utf-8")
+    words = ["-q", "-x", "-m", "not slow", "--jaxtyping-packages=", *tests.split()]
     with tempfile.TemporaryFile("w+") as said:
         pid = os.fork()
         if not pid:
             _tested(tree, words, said.fileno())
-        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         said.seek(0)
         lines = said.read()
     path.write_text(text, "utf-8")
+    if status == -signal.SIGALRM:
+        return f"killed: no end after {LIMIT} s"
     failed = next((line for line in lines.splitlines() if line.startswith(("FAILED", "ERROR"))), "")
-    if code == 1:
+    if status in (1, 2, 4):
         return f"killed by {failed.split('::')[-1].split(' - ')[0]}"
-    return "LIVES" if code == 0 else f"NOT TRIED: {lines[-300:]}"
+    return "LIVES" if status == 0 else f"NOT TRIED: {lines[-300:]}"
 
 
 def _tested(tree: Path, words: list[str], said: int) -> NoReturn:
     """In a forked child: pytest in that tree. What all tests import is there already, of ours nothing."""
+    signal.alarm(LIMIT)
     os.dup2(said, 1)
     os.dup2(said, 2)
     os.chdir(tree)
@@ -152,7 +164,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         tree = copied(Path(folder))
         for number, planted in enumerate(chosen, 1):
-            found = outcome(tree, planted)
+            found = planted_in(tree, planted)
             lived += not found.startswith("killed")
             print(f"{number}/{len(chosen)} {planted.file}: {planted.new.strip()[:60]!r}: {found}", flush=True)
     print(f"{lived} of {len(chosen)} live")
