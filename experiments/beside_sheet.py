@@ -58,11 +58,11 @@ def cameras(joints: Float[np.ndarray, "52 3"], side: int, shots: Iterable[Shot])
         yield orbit_camera(target, distance, azimuth, 0.05, (side, side), np.radians(field))
 
 
-def true_tiles(name: str, side: int, shots: Iterable[Shot] = VIEWS) -> list[Tile]:
-    """The person that was filmed, in soft light."""
+def true_tiles(name: str, side: int, shots: Iterable[Shot] = VIEWS, sheen: float = 0.0) -> list[Tile]:
+    """The person that was filmed, in soft light, shining as in the films."""
     subject = load_subject(name)
     with open_context() as context:
-        studio = Studio(Rasteriser(context), subject, 2)
+        studio = Studio(Rasteriser(context), subject, 2, sheen)
         vertices = studio.posed(hanging_arms(), ROOT)
         photos = [studio.take(vertices, camera, STILL["soft"]) for camera in cameras(subject.joints, side, shots)]
     return [np.where(photo.mask[..., None] > 0, photo.image, GROUND) for photo in photos]
@@ -76,11 +76,11 @@ def avatar_tiles(path: str | Path, side: int, shots: Iterable[Shot] = VIEWS) -> 
         return [renderer.draw(hanging_arms(), ROOT, camera)[..., :3] for camera in views]
 
 
-def write_sheet(out: Path, pairs: Iterable[tuple[str, str | Path]], side: int = 512) -> None:
+def write_sheet(out: Path, pairs: Iterable[tuple[str, str | Path]], side: int = 512, sheen: float = 0.0) -> None:
     """Two columns of people, or one of two at most: person as `synth` takes it, and its avatar file."""
     rows = []
     for person, avatar in pairs:
-        both = zip(true_tiles(person, side), avatar_tiles(avatar, side), strict=True)
+        both = zip(true_tiles(person, side, sheen=sheen), avatar_tiles(avatar, side), strict=True)
         rows.append(np.concatenate([np.concatenate(tiles, 1) for tiles in both], 1))
     high = max(min(2, len(rows)), -(-len(rows) // 2))
     rows += [np.zeros_like(rows[0])] * (-len(rows) % high)
@@ -102,8 +102,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("pairs", nargs="+", metavar="PERSON=AVATAR", help="as `synth` takes a person, and its .glb")
     parser.add_argument("--side", type=int, default=512, help="pixels of a picture")
+    parser.add_argument("--sheen", type=float, default=0.0, help="of the films, as `synth` takes it")
     options = parser.parse_args(argv)
-    write_sheet(options.out, [tuple(pair.rsplit("=", 1)) for pair in options.pairs], options.side)
+    write_sheet(options.out, [tuple(pair.rsplit("=", 1)) for pair in options.pairs], options.side, options.sheen)
     return 0
 
 

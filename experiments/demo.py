@@ -70,7 +70,7 @@ def stages(out: Path) -> list[Stage]:
         Stage("film four raw videos", films / "truth" / "raw.json", selfscan("synth", "builtin", films, *how), 1.2),
         Stage("make an avatar of them", fields, selfscan("make", films, "-o", avatar, *known, "--minutes", "15"), 9.0),
         Stage("film", out / "avatar.mp4", film(fields, out / "film.toml", out / "avatar.mp4"), 0.2),
-        Stage("contact sheet", sheet, command("experiments.beside_sheet", sheet, *beside), 0.3),
+        Stage("contact sheet", sheet, command("experiments.beside_sheet", sheet, *beside, "--sheen", str(SHEEN)), 0.3),
         Stage("accuracy against time", report / "bench.json",
               selfscan("bench", fields, "-o", report, "--frames", "2", "--rounds", "20"), 0.7),
     ]  # fmt: skip

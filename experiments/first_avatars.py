@@ -49,14 +49,26 @@ FILMING, JUDGING = 3.0, 3.0
 
 
 @dataclass(frozen=True)
-class Options:
-    """What decides the numbers; a folder holds those of one of them."""
+class Filming:
+    """How everybody is filmed."""
 
-    minutes: Annotated[Literal["4", "6"], "as `make` takes them: of no trained field"] = "4"
     size: Annotated[int, AtLeast(96), "pixels of the videos' shorter side"] = 400
     seconds: Annotated[float, "of the turn in each video"] = 3.0
     truth_every: Annotated[int, AtLeast(1), "of the 20 held-out poses and 10 views film only every N-th"] = 6
     seed: Annotated[int, "of filming"] = 0
+
+    @property
+    def words(self) -> list[str]:
+        """As `synth` takes them."""
+        return ["--raw", "--keypoints", "--held-out", "--truth-every", str(self.truth_every), "--size",
+                str(self.size), "--seconds", f"{self.seconds:g}", "--seed", str(self.seed)]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Options(Filming):
+    """What decides the numbers; a folder holds those of one of them."""
+
+    minutes: Annotated[Literal["4", "6"], "as `make` takes them: of no trained field"] = "4"
 
 
 @dataclass(frozen=True)
@@ -77,12 +89,6 @@ ABOUT = Help(
 )
 
 
-def film_words(options: Any) -> list[str]:
-    """How `synth` films somebody for Options, these or those of `experiments.minutes`."""
-    return ["--raw", "--keypoints", "--held-out", "--truth-every", str(options.truth_every), "--size",
-            str(options.size), "--seconds", f"{options.seconds:g}", "--seed", str(options.seed)]  # fmt: skip
-
-
 def stages(options: Options, name: str, out: Path) -> list[Stage]:
     """The commands of one person."""
     person, sex = person_and_sex(name)
@@ -93,7 +99,7 @@ def stages(options: Options, name: str, out: Path) -> list[Stage]:
         return command("selfscan", "make", raw, "-o", avatar, *known)()
 
     run = avatar.with_suffix(".making") / "first"
-    film = command("selfscan", "synth", person, raw, *film_words(options))
+    film = command("selfscan", "synth", person, raw, *options.words)
     judge = command("selfscan", "eval", avatar, raw, "--run", run, "--json", quality)
     return [
         Stage("film four raw videos", raw / "truth" / "raw.json", film, FILMING),

@@ -21,12 +21,11 @@ from bench.report.writer import markdown_table, number
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.progress import clock_time
-from command.settings import AtLeast
 from command.stages import Stage, command, run_stages
 from experiments.beside_sheet import Shot, avatar_tiles, save_tiles, true_tiles
 from experiments.claim import folder_of, person_and_sex, settle, stature_of
 from experiments.claim_page import number_of
-from experiments.first_avatars import FILMING, JUDGING, cell, film_words
+from experiments.first_avatars import FILMING, JUDGING, Filming, cell
 from experiments.program import distinct, end_with, note, written
 from files.input_file import read_json_object
 from files.whole import whole_file, write_json, write_text
@@ -63,14 +62,10 @@ FACE, HAND = (
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(Filming):
     """What decides the numbers; a folder holds those of one of them."""
 
     minutes: Annotated[Literal["4", "6", "15", "60"], "as `make` takes them; the body's video alone is given 4"] = "15"
-    size: Annotated[int, AtLeast(96), "pixels of the videos' shorter side"] = 400
-    seconds: Annotated[float, "of the turn in each video"] = 3.0
-    truth_every: Annotated[int, AtLeast(1), "of the 20 held-out poses and 10 views film only every N-th"] = 6
-    seed: Annotated[int, "of filming"] = 0
 
 
 @dataclass(frozen=True)
@@ -241,7 +236,7 @@ def main(argv: Sequence[str]) -> int:
     for name, (person, _) in told.items():
         raw = out / folder_of(name) / "raw"
         raw.parent.mkdir(parents=True, exist_ok=True)
-        film = command("selfscan", "synth", person, raw, *film_words(options))
+        film = command("selfscan", "synth", person, raw, *options.words)
         run_stages([Stage(f"film {folder_of(name)}", raw / "truth" / "raw.json", film, FILMING)])
     absent, there = [], []
     for name, (person, sex) in told.items():

@@ -83,7 +83,7 @@ def test_the_film_is_a_scene_that_shows_the_view_mode_of_the_avatar(tmp_path, mo
 def test_a_sheet_has_one_column_of_two_people_at_most_and_two_of_more(tmp_path, monkeypatch, people, size):
     for kind, shade in (("true", 40), ("avatar", 200)):
         tiles = [np.full((2, 2, 3), shade, np.uint8)] * len(VIEWS)
-        monkeypatch.setattr(f"experiments.beside_sheet.{kind}_tiles", lambda *_, tiles=tiles: tiles)
+        monkeypatch.setattr(f"experiments.beside_sheet.{kind}_tiles", lambda *_, tiles=tiles, **_more: tiles)
     write_sheet(tmp_path / "sheet.png", [("builtin", "me.glb")] * people, side=2)
     with Image.open(tmp_path / "sheet.png") as page:
         assert (page.format, page.size) == ("PNG", size)
