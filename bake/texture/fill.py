@@ -1,7 +1,9 @@
 """What no video saw is filled from what was seen: cloth round its limb, the rest with the color of its material.
 
-Stripes, cuffs, hems and collars run round trunk, arms and legs: there an unseen texel shows the mean of the nearest
-seen places of its piece that face its way, where lengths along the limb count STRETCH times.
+Stripes, cuffs, hems and collars run round trunk, arms and legs: there seen texels of a piece are laid on a grid of
+rings, lengths along the limb by angles about it, and each ring is closed between the seen places at both ends of a gap,
+so that the outside of a sleeve that no video saw goes over from its front to its back. Where a limb has no direction
+(the collar bones), an unseen texel shows the mean of the nearest seen places that face its way.
 
 Elsewhere (head, hands, feet) seen texels are grouped by color into materials: skin, hair, each color of a cloth. A
 material's color anywhere is as smooth on the surface as its seen texels allow:
@@ -22,9 +24,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 from numpy import ndarray as Array
 from scipy.cluster.vq import kmeans2
+from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.sparse import csr_matrix, diags
 from scipy.spatial import KDTree
 
+from avatar.rotation import unit_or_zero
 from bake.texture.texture_solve import laplacian
 from geometry.least_squares import factorised
 from geometry.mesh import TriangleMesh, blended, half_edges
@@ -36,9 +40,12 @@ MATERIALS, APART = 8, 0.07
 VOTES, CELL, ENOUGH, FACING = 24, 0.0025, 0.15, 0.0
 # a number for each cell within a kilometre and eighth of all directions
 CELL_KEY = np.array([1 << 42, 1 << 23, 1 << 4, 1, 2, 4])
-# seen places whose mean an unseen texel round a limb shows, how many times a length along the limb counts, metres at
-# which a place counts half as much as one at the texel
-ROUND, STRETCH, SOFT = 10, 5.0, 0.002
+# seen places whose mean an unseen texel of no direction shows, metres at which a place counts half as much as one at
+# the texel
+ROUND, SOFT = 10, 0.002
+# a ring of a limb: metres along it, cells round it, deviation in rings of what lies beside it and counts as well, cells
+# that must be seen before it is closed by them
+RING, TURN, BESIDE, KNOWN = 0.0025, 90, 1.0, 4
 # how far from its materials' colors an unseen texel's may be
 NEAR = 6 / 255
 # stiffness of an edge against all the seen surface round a vertex
@@ -81,13 +88,81 @@ def round_limbs(
     places = {int(piece): seen_places(surface, seen, int(piece)) for piece in np.unique(surface.piece[rows])}
     for piece, limb in product(places, np.unique(surface.limb[rows])):
         own = (surface.piece[rows] == piece) & (surface.limb[rows] == limb)
-        asked, given = rows[own], places[piece]
-        stretch = np.eye(3) + (STRETCH - 1) * np.outer(surface.axes[limb], surface.axes[limb])
-        away, near = nearest_places(surface, given, asked, ROUND, stretch)
-        facing = np.einsum("nkc,nc->nk", surface.normals[near], surface.normals[asked]) > FACING
-        weight = (facing + 1e-3) / (np.square(away) + SOFT**2)
-        result[own] = np.einsum("nk,nkc->nc", weight / weight.sum(1, keepdims=True), color[near])
+        asked, axis, given = rows[own], surface.axes[limb], places[piece]
+        result[own] = beside(surface, color, given, asked)
+        if axis.any():
+            rings = Rings.about(axis, surface.points[np.flatnonzero((surface.piece == piece) & (surface.limb == limb))])
+            # the inside of cloth is none of its outside
+            for out in (False, True):
+                facing = lambda some, out=out: some[rings.faces_out(surface, some) == out]
+                wanted = own.copy()
+                wanted[own] = rings.faces_out(surface, asked) == out
+                found = rings.closed(surface, color, facing(given[surface.limb[given] == limb]), rows[wanted])
+                result[wanted] = result[wanted] if found is None else found
     return result
+
+
+def beside(
+    surface: TexelSurface, color: Float[Array, "texels 3"], given: Integer[Array, "given"],
+    asked: Integer[Array, "asked"],
+) -> Float[Array, "asked 3"]:  # fmt: skip
+    """The mean of the nearest seen places that face the way of each texel that is asked."""
+    away, near = nearest_places(surface, given, asked, ROUND)
+    facing = np.einsum("nkc,nc->nk", surface.normals[near], surface.normals[asked]) > FACING
+    weight = (facing + 1e-3) / (np.square(away) + SOFT**2)
+    return np.einsum("nk,nkc->nc", weight / weight.sum(1, keepdims=True), color[near])
+
+
+class Rings(NamedTuple):
+    """Cylinder coordinates about a limb."""
+
+    frame: Float[Array, "3 3"]  # rows: along it, and two across
+    middle: Float[Array, "3"]
+    low: float  # where the first ring begins
+    count: int  # rings
+
+    @classmethod
+    def about(cls, axis: Float[Array, "3"], points: Float[Array, "points 3"]) -> "Rings":
+        """Of a limb's points, about their middle."""
+        across = unit_or_zero(np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))]))
+        frame, middle = np.stack([axis, across, np.cross(axis, across)]), points.mean(0)
+        along = (points - middle) @ axis
+        return cls(frame, middle, float(along.min()), int(np.ptp(along) / RING) + 1)
+
+    def faces_out(self, surface: TexelSurface, rows: Integer[Array, "rows"]) -> Bool[Array, "rows"]:
+        outward = (surface.points[rows] - self.middle) @ self.frame[1:].T
+        return ((surface.normals[rows] @ self.frame[1:].T) * outward).sum(1) > 0
+
+    def cells(self, points: Float[Array, "points 3"]) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
+        """Ring and cell of it, with fractions: those of the first cell's middle are 0."""
+        along, x, y = ((points - self.middle) @ self.frame.T).T
+        ring = np.clip((along - self.low) / RING - 0.5, 0, self.count - 1)
+        return ring, (np.arctan2(y, x) / (2 * np.pi) * TURN - 0.5) % TURN
+
+    def closed(
+        self, surface: TexelSurface, color: Float[Array, "texels 3"], given: Integer[Array, "given"],
+        asked: Integer[Array, "asked"],
+    ) -> Float[Array, "asked 3"] | None:  # fmt: skip
+        """Colors round the limb for texels that are asked; None where too little of it was seen."""
+        ring, turn = (np.round(values).astype(int) for values in self.cells(surface.points[given]))
+        cell = ring * TURN + turn % TURN
+        sums = [np.bincount(cell, weight, self.count * TURN) for weight in (None, *color[given].T)]
+        sums = np.stack(sums, -1).reshape(self.count, TURN, 4).astype(np.float64)
+        sums = gaussian_filter1d(sums, BESIDE, 0, mode="constant", truncate=2)
+        sure = sums[..., 0] > 0.05
+        whole = np.flatnonzero(sure.sum(1) >= KNOWN)
+        if not len(whole):
+            return None
+        # a cell more, which is the first again
+        grid, every = np.empty((len(whole), TURN + 1, 3)), np.arange(TURN + 1)
+        for row, number in enumerate(whole):
+            there = np.flatnonzero(sure[number])
+            shown = sums[number, there, 1:] / sums[number, there, :1]
+            grid[row] = np.stack([np.interp(every, there, channel, period=TURN) for channel in shown.T], -1)
+        ring, turn = self.cells(surface.points[asked])
+        # between the nearest of these rings on both sides
+        at = np.interp(ring, whole, np.arange(len(whole))), turn
+        return np.stack([map_coordinates(grid[..., k], at, order=1, mode="nearest") for k in range(3)], -1)
 
 
 def seen_places(surface: TexelSurface, seen: Bool[Array, "texels"], piece: int) -> Integer[Array, "places"]:
@@ -158,7 +233,7 @@ def material_shares(
         _, first, same = np.unique(cells(surface, asked), return_index=True, return_inverse=True)
         asked, rows = asked[first], np.arange(len(first))
         total = np.zeros((len(asked), count))
-        for near in nearest_places(surface, given, asked, VOTES, np.eye(3))[1].T:
+        for near in nearest_places(surface, given, asked, VOTES)[1].T:
             cosine = (surface.normals[near] * surface.normals[asked]).sum(1)
             total[rows, material[near]] += (cosine > FACING) + 1e-3
         total /= total.sum(1, keepdims=True)
@@ -168,12 +243,11 @@ def material_shares(
 
 
 def nearest_places(
-    surface: TexelSurface, given: Integer[Array, "given"], asked: Integer[Array, "asked"], most: int,
-    stretch: Float[Array, "3 3"],
-) -> tuple[Float[Array, "asked near"], Integer[Array, "asked near"]]:  # fmt: skip
-    """Of the `given` texels the nearest to each that is asked, in stretched space, and how far they are."""
+    surface: TexelSurface, given: Integer[Array, "given"], asked: Integer[Array, "asked"], most: int
+) -> tuple[Float[Array, "asked near"], Integer[Array, "asked near"]]:
+    """Of the `given` texels the nearest to each that is asked, and how far they are."""
     count = min(most, len(given))
-    found = KDTree(surface.points[given] @ stretch).query(surface.points[asked] @ stretch, count, workers=-1)
+    found = KDTree(surface.points[given]).query(surface.points[asked], count, workers=-1)
     away, near = (values.reshape(len(asked), count) for values in found)
     return away, given[near]
 
