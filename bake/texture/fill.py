@@ -88,16 +88,20 @@ def round_limbs(
     places = {int(piece): seen_places(surface, seen, int(piece)) for piece in np.unique(surface.piece[rows])}
     for piece, limb in product(places, np.unique(surface.limb[rows])):
         own = (surface.piece[rows] == piece) & (surface.limb[rows] == limb)
+        if not own.any():
+            continue
         asked, axis, given = rows[own], surface.axes[limb], places[piece]
         result[own] = beside(surface, color, given, asked)
         if axis.any():
-            rings = Rings.about(axis, surface.points[np.flatnonzero((surface.piece == piece) & (surface.limb == limb))])
+            same = np.flatnonzero((surface.piece == piece) & (surface.limb == limb))
+            shown = given[surface.limb[given] == limb]
+            rings = Rings.about(axis, surface.points[same])
             # the inside of cloth is none of its outside
             for out in (False, True):
                 facing = lambda some, out=out: some[rings.faces_out(surface, some) == out]
                 wanted = own.copy()
                 wanted[own] = rings.faces_out(surface, asked) == out
-                found = rings.closed(surface, color, facing(given[surface.limb[given] == limb]), rows[wanted])
+                found = rings.closed(surface, color, facing(shown), rows[wanted])
                 result[wanted] = result[wanted] if found is None else found
     return result
 
@@ -114,11 +118,11 @@ def beside(
 
 
 class Rings(NamedTuple):
-    """Cylinder coordinates about a limb."""
+    """Cylinder coordinates about a limb, metres."""
 
-    frame: Float[Array, "3 3"]  # rows: along it, and two across
+    frame: Float[Array, "3 3"]  # rows: unit, along it and two across
     middle: Float[Array, "3"]
-    low: float  # where the first ring begins
+    low: float  # along it, where the first ring begins
     count: int  # rings
 
     @classmethod
@@ -130,6 +134,7 @@ class Rings(NamedTuple):
         return cls(frame, middle, float(along.min()), int(np.ptp(along) / RING) + 1)
 
     def faces_out(self, surface: TexelSurface, rows: Integer[Array, "rows"]) -> Bool[Array, "rows"]:
+        """Whether texels face away from the limb's middle."""
         outward = (surface.points[rows] - self.middle) @ self.frame[1:].T
         return ((surface.normals[rows] @ self.frame[1:].T) * outward).sum(1) > 0
 

@@ -143,6 +143,7 @@ def solve_texture(
             equations = moved_onto(found, given, blurred, window, facts)
         moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
         report(f"frames moved onto the texture they agree on, mm: {moved}")
+        assert blurred is not None
         belief = [doubted(own, blurred) for own in equations]
     solution = solve_change(equations, prior, pairs, stiff=seams, start=blurred)
     surface = texel_surface(mesh, found.texel)
