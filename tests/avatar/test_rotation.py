@@ -21,9 +21,12 @@ from avatar.limits import axis_angle_from_joint_angles
 from avatar.rotation import (
     axis_angle_from_matrix,
     axis_angle_from_quaternion,
+    fibonacci_sphere,
+    left_up_frame,
     matrix_from_axis_angle,
     matrix_from_quaternion,
     nearest_rotation,
+    palm_frame,
     quaternion_from_axis_angle,
     quaternion_from_matrix,
     quaternion_product,
@@ -164,3 +167,20 @@ def test_pixels_move_with_points_as_their_rows_say_and_before_the_camera_where_p
     at, rows = pixel_rows(camera, np.array([[0.01, 0.02, -3.0], [0.01, 0.02, NEAREST]]))
     np.testing.assert_array_equal(at[0], at[1])
     np.testing.assert_array_equal(rows[0], rows[1])
+
+
+def test_frames_keep_one_direction_and_a_sphere_is_even(random):
+    kept, other = random.normal(size=(2, 20, 3))
+    unit = kept / np.linalg.norm(kept, axis=1, keepdims=True)
+    for frame, own, near in ((left_up_frame(other, kept), 1, 0), (palm_frame(kept, other), 0, 2)):
+        np.testing.assert_allclose(frame.transpose(0, 2, 1) @ frame, np.tile(np.eye(3), (20, 1, 1)), atol=1e-12)
+        assert np.linalg.det(frame) == pytest.approx(np.ones(20))
+        np.testing.assert_allclose(frame[..., own], unit, atol=1e-12)
+        # the other lies in the plane of the two
+        assert ((frame[..., near] * other).sum(1) > 0).all()
+        np.testing.assert_allclose(np.abs((frame[..., 3 - own - near] * other).sum(1)), 0, atol=1e-12)
+    points = fibonacci_sphere(400)
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1, atol=1e-12)
+    cosine = points @ points.T - 2 * np.eye(400)
+    assert np.abs(points.mean(0)).max() < 2e-3
+    assert np.arccos(cosine.max(1)).min() > 0.14 and np.arccos(cosine.max(1)).max() < 0.19
