@@ -99,16 +99,14 @@ class Made(NamedTuple):
         return self.file.with_suffix(".json")
 
 
-def avatars(folder: Path, minutes: str) -> list[Made]:
-    """What `make` leaves of a person's four videos and of the body's, whether it is there or not."""
-    last = {"4": ["first"], "6": ["first", "better"]}.get(minutes, ["first", "better", f"fields_{minutes}"])
-    by_films = {"four": last, "body": ["first"]}
-    return [
+def avatars(folder: Path) -> list[Made]:
+    """What `make` has left of a person's four videos and of the body's alone; of small films, no finer textures."""
+    every = [
         Made(films, heading, folder / films / "me.making" / f"{stem}.glb", folder / films / "me.making" / run)
-        for films, stems in by_films.items()
+        for films in FILMS
         for stem, run, heading in AVATARS
-        if stem in stems
     ]
+    return [made for made in every if made.file.exists()]
 
 
 def make_stage(person: str, sex: str, folder: Path, films: str, minutes: str) -> Stage:
@@ -122,7 +120,7 @@ def make_stage(person: str, sex: str, folder: Path, films: str, minutes: str) ->
         out.mkdir(exist_ok=True)
         code = command("selfscan", "make", source, "-o", out / "me.glb", *known)()
         if code == 0:
-            there = [one.file for one in avatars(folder, minutes) if one.films == films and one.file.exists()]
+            there = [one.file for one in avatars(folder) if one.films == films]
             write_json(clock, {file.stem: file.stat().st_mtime - began if fresh else None for file in there})
         return code
 
@@ -213,16 +211,16 @@ def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
         ax.set_xlabel("seconds from films to avatar")
         ax.set_ylabel(label)
         ax.grid(alpha=0.3)
-    figure.axes[0].legend(fontsize=7)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     with whole_file(path) as file:
         figure.savefig(file, format="png")
 
 
-def write_pictures(out: Path, people: Sequence[str], options: Options) -> None:
+def write_pictures(out: Path, people: Sequence[str]) -> None:
     """A row of faces and one of left hands for each person: truth, then every avatar."""
     rows = []
     for person in people:
-        made = avatars(out / folder_of(person), options.minutes)
+        made = avatars(out / folder_of(person))
         tiles = [true_tiles(person_and_sex(person)[0], 512, (FACE, HAND))]
         rows.append(tiles + [avatar_tiles(one.file, 512, (FACE, HAND)) for one in made])
     save_tiles(out / "sheet.jpg", [[tile for row in column for tile in row] for column in zip(*rows, strict=True)])
@@ -250,7 +248,7 @@ def main(argv: Sequence[str]) -> int:
     found: dict[str, list[dict[str, Any]]] = {}
     for name in there:
         folder = out / folder_of(name)
-        for made in avatars(folder, options.minutes):
+        for made in avatars(folder):
             words = ["selfscan", "eval", made.file, folder / "raw", "--run", made.run, "--json", made.quality]
             run_stages([Stage(f"judge {folder.name}: {made.name}", made.quality, command(*words), JUDGING)])
             clock = read_json_object(folder / made.films / "seconds.json", "when each avatar was there")
@@ -259,7 +257,7 @@ def main(argv: Sequence[str]) -> int:
     if not found:
         raise AssetError(f"{out}: nobody was made: {'; '.join(absent)}")
     plot(found, out / "minutes.png")
-    write_pictures(out, there, options)
+    write_pictures(out, there)
     write_text(out / "README.md", page(found, options))
     return written(out / "README.md", absent, "made")
 

@@ -28,8 +28,8 @@ from files.whole import check_file, is_free, whole_file, write_json
 
 # steps a part of the short training; the long one has the preset's own
 SHORT = 250
-# texels a side of the first avatar's atlas
-FIRST = 1024
+# texels a side of the first avatar's atlas, and from how many millions of pixels a picture films show more than these
+FIRST, FINER = 1024, 0.5
 # share by which what trained fields show lies nearer to the films before they replace the template
 NEARER = 0.02
 
@@ -59,7 +59,8 @@ class MakeCommand:
         "film them now with a webcam, the first one or the one of this name or number, into NAME.films; a window shows "
         "where to stand and what to do, and films that are there are kept"] = None
     minutes: Annotated[Literal["4", "6", "15", "60"],
-        f"of two quiet cores: 4, the fitted template in the films' colors, {FIRST} texels a side; 6, finer textures; "
+        f"of two quiet cores: 4, the fitted template in the films' colors, {FIRST} texels a side; 6, finer textures, "
+        f"where pictures of the films have more than {FINER} million pixels; "
         f"15, fields of {SHORT} steps a part as well; 60, the whole training"] = "6"
 
     def __post_init__(self):
@@ -207,7 +208,8 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
     large = megapixels(wanted.films)
     work, began, clicked = wanted.work, time.monotonic(), clicking(wanted)
     capture, first, run_folder = work / "capture", work / "first", work / f"fields_{wanted.minutes}"
-    better = work / "better.glb"
+    finer = large > FINER
+    template, texels = work / ("better.glb" if finer else "first.glb"), () if finer else ("--texture", FIRST)
 
     def bake(name: str, source: Path, product: Path, minutes: float, *words: object) -> Stage:
         """Bake a run and put the avatar where the user wants it."""
@@ -215,7 +217,7 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
 
         def run() -> int:
             code = baked()
-            if code or (source == run_folder and not worth_it(product, better)):
+            if code or (source == run_folder and not worth_it(product, template)):
                 return code
             return published(product, wanted.out, began)
 
@@ -232,14 +234,14 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
               command("selfscan", "train", capture, "-o", first, "--preset", "preview"), 1.2),
         bake("first avatar", first, work / "first.glb", 0.8 + 1.6 * large, "--texture", FIRST),
     ]  # fmt: skip
-    if wanted.minutes != "4":
-        stages.append(bake("finer textures", first, better, 1.6 + 2.5 * large))
+    if wanted.minutes != "4" and finer:
+        stages.append(bake("finer textures", first, template, 1.6 + 2.5 * large))
     if wanted.minutes in ("15", "60"):
         resume = ["--resume"] if run_folder.with_name(run_folder.name + ".partial").exists() else []
         short = ["--iterations", SHORT] if wanted.minutes == "15" else []
         train = command("selfscan", "train", capture, "-o", run_folder, *map(str, short), *resume)
         stages.append(Stage("fields of body, head and hands", run_folder / "run.json", train, 3.5 if short else 6.0))
-        stages.append(bake("avatar of the fields", run_folder, run_folder.with_suffix(".glb"), 2.5))
+        stages.append(bake("avatar of the fields", run_folder, run_folder.with_suffix(".glb"), 2.5, *texels))
     return stages
 
 
@@ -254,6 +256,8 @@ def main(argv: Sequence[str]) -> int:
         wanted = film_yourself(wanted)
     claim(wanted)
     stages = make_stages(wanted)
+    if wanted.minutes == "6" and stages[-1].name == "first avatar":
+        print(f"the films show no more than the {FIRST} texels a side of the first avatar: finer ones are left out")
     ran = run_stages(stages)
     made = [stage.product for stage in stages if stage.product.suffix == ".glb"]
     # a kill may come between an avatar and its taking the place of the one before

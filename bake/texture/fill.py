@@ -3,7 +3,7 @@
 Stripes, cuffs, hems and collars run round trunk, arms and legs: there seen texels of a piece are laid on a grid of
 rings, lengths along the limb by angles about it, and each ring is closed between the seen places at both ends of a gap,
 so that the outside of a sleeve that no video saw goes over from its front to its back. Where a limb has no direction
-(the collar bones), an unseen texel shows the mean of the nearest seen places that face its way.
+(neck and collar bones), an unseen texel shows the mean of the nearest seen places that face its way.
 
 Elsewhere (head, hands, feet) seen texels are grouped by color into materials: skin, hair, each color of a cloth. A
 material's color anywhere is as smooth on the surface as its seen texels allow:

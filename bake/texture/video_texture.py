@@ -58,6 +58,9 @@ FINEST_PIXEL = 1.3
 STAY, STAY_POWER, SMOOTH = 0.06, 1.5, 4.0
 # mu over lambda where color follows the eye: frames then disagree, and the grids of their pixels would show as ribs
 SMOOTH_SHINE = 16.0
+# texels in a pixel from which, where poses were estimated, mu grows so that it smooths over the same share of a pixel:
+# frames disagree by more than a texel, and the grids of their pixels would show as a weave
+WIDER = 1.5
 # weight of a point on a chart edge looking the same from both sides
 AGREE = 1.0
 # share of the head from which a place is the head's alone, when what no video saw is filled
@@ -74,7 +77,7 @@ UNSEEN, SEEN = 0.3, 1.0
 GRAZING, FACING = 0.1, 0.3
 # round what print runs, from joint to joint
 LIMBS = (
-    ("pelvis", "spine1", "spine2", "spine3", "neck", "head"),
+    ("pelvis", "spine1", "spine2", "spine3", "neck"),
     *((f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist") for side in ("left", "right")),
     *((f"{side}_hip", f"{side}_knee", f"{side}_ankle") for side in ("left", "right")),
 )
@@ -131,7 +134,9 @@ def solve_texture(
     found = read_videos(mesh, given, videos, change, facts, report)
     seams = seam_equations(mesh, baked, given)
     stay = STAY * (found.texel / found.pixel[found.part]) ** STAY_POWER
-    smooth = SMOOTH if change is None else SMOOTH_SHINE
+    smooth = np.full(len(stay), SMOOTH if change is None else SMOOTH_SHINE)
+    if videos.estimated:
+        smooth *= np.square(np.maximum(found.pixel[found.part] / found.texel / WIDER, 1))
     prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
     equations, belief, blurred = found.equations, [np.ones(1, np.float32)] * len(PARTS), None
     if videos.estimated:
@@ -363,10 +368,11 @@ def strange_on_hair(
 
 
 def limb_axes(joints: Float[Array, "52 3"]) -> Float[Array, "52 3"]:
-    """Unit directions of trunk, arms and legs from joint to joint in the canonical pose; NaN for other joints."""
+    """Unit directions of trunk, arms and legs from joint to joint in the canonical pose; 0 round the collar, which is
+    cut aslant; NaN for other joints."""
     canonical = joint_transforms(np.asarray(BIG_POSE, np.float64), joints, np.zeros(3))[:, :3, 3]
     axes = np.full((len(JOINTS), 3), np.nan)
-    axes[[JOINTS.index("left_collar"), JOINTS.index("right_collar")]] = 0
+    axes[[JOINTS.index(name) for name in ("neck", "left_collar", "right_collar")]] = 0
     for chain in LIMBS:
         along = np.array([JOINTS.index(name) for name in chain])
         axes[along[:-1]] = unit_or_zero(np.diff(canonical[along], axis=0))

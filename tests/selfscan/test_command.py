@@ -157,8 +157,8 @@ FILMS = ("body.mp4", "head.mp4", "left.mp4", "right.mp4")
 
 @pytest.fixture
 def films(tmp_path, monkeypatch):
-    """Four files that are no films."""
-    monkeypatch.setattr(make, "megapixels", lambda films: 0.3)
+    """Four files that are no films; as if large ones."""
+    monkeypatch.setattr(make, "megapixels", lambda films: 0.9)
     folder = tmp_path / "me"
     folder.mkdir()
     for name in FILMS:
@@ -189,7 +189,7 @@ def test_larger_films_are_said_to_take_longer(filmed_four, tmp_path, monkeypatch
     width, height = open_video(filmed_four / "body.mp4").size
     assert make.megapixels(wanted.films) == pytest.approx(width * height / 1e6)
     told = []
-    for large in (0.3, 2.1):
+    for large in (0.6, 2.1):
         monkeypatch.setattr(make, "megapixels", lambda films, large=large: large)
         told.append([stage.minutes for stage in make.make_stages(wanted)])
     assert (np.array(told[1]) >= told[0]).all() and sum(told[1]) > 2 * sum(told[0])
@@ -223,6 +223,18 @@ def test_four_minutes_end_with_the_first_avatar_and_more_go_on_from_there(films,
     assert [words[1] for words in ran] == ["import", "train", "bake"]
     make.main([str(films), "-o", str(out)])
     assert [words[1] for words in ran[3:]] == ["bake"]
+
+
+def test_small_films_show_no_more_than_the_first_avatar(films, ran, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(make, "megapixels", lambda films: 0.3)
+    monkeypatch.setattr(make, "off_the_films", lambda avatar: 9.0 if "fields" in avatar.name else 10.0)
+    out = tmp_path / "me.glb"
+    make.main([str(films), "-o", str(out)])
+    assert [words[1] for words in ran] == ["import", "train", "bake"]
+    assert "finer ones are left out" in capsys.readouterr().out
+    make.main([str(films), "-o", str(out), "--minutes", "15"])
+    assert [words[1] for words in ran[3:]] == ["train", "bake"]
+    assert ran[-1][-2:] == ran[2][-2:] == ["--texture", str(make.FIRST)] and out.read_text() == " ".join(ran[-1])
 
 
 @pytest.mark.parametrize(("minutes", "fields", "taken"), [("15", 9.7, True), ("60", 9.9, False)])
