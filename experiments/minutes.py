@@ -8,6 +8,7 @@ and wants a machine with nothing else to do. What exists is kept: the same comma
 has no time. OUT/minutes.json, README.md, minutes.png and sheet.jpg are of those who are named.
 """
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -17,6 +18,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 
 from avatar.skeleton import JOINTS
+from bench.ladder.machine import commit, cpu_name
 from bench.report.writer import markdown_table, number
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
@@ -121,17 +123,27 @@ def make_stage(person: str, sex: str, folder: Path, films: str, minutes: str) ->
         code = command("selfscan", "make", source, "-o", out / "me.glb", *known)()
         if code == 0:
             there = [one.file for one in avatars(folder) if one.films == films]
-            write_json(clock, {file.stem: file.stat().st_mtime - began if fresh else None for file in there})
+            seconds = {file.stem: file.stat().st_mtime - began if fresh else None for file in there}
+            where = f"{cpu_name()}, {os.cpu_count()} cores, commit {commit()}"
+            write_json(clock, {"machine": where, "seconds": seconds})
         return code
 
     return Stage(f"make of {FILMS[films]}", clock, run, int(minutes) + 1.0)
 
 
-def judged(made: Made, raw: Path, clock: dict[str, float | None]) -> dict[str, Any]:
-    """What `eval` found, when the avatar was there, and how far it lies from the films."""
+def judged(made: Made) -> dict[str, Any]:
+    """What `eval` found, when the avatar was there and where it was made, and how far it lies from the films."""
     found = read_json_object(made.quality, "a result of `selfscan eval --json`")
+    clock = read_json_object(made.file.parents[1] / "seconds.json", "when each avatar was there")
     off = off_the_films(made.file) if made.films == "four" else None
-    return found | {"films": made.films, "avatar": made.name, "seconds": clock.get(made.file.stem), "off_films": off}
+    seconds = clock["seconds"].get(made.file.stem)
+    return found | {
+        "films": made.films,
+        "avatar": made.name,
+        "seconds": seconds,
+        "off_films": off,
+        "made": clock["machine"],
+    }
 
 
 def table(some: list[dict[str, Any]], chosen: str) -> list[str]:
@@ -153,9 +165,8 @@ def table(some: list[dict[str, Any]], chosen: str) -> list[str]:
 def page(found: dict[str, list[dict[str, Any]]], options: Options) -> str:
     """The medians over all people, and the tables of each."""
     everybody = [result for results in found.values() for result in results]
-    machines = [result.get("machine", {}) for result in everybody]
-    commits = ", ".join(sorted({str(machine.get("commit")) for machine in machines}))
-    cpus = ", ".join(sorted({f"{machine.get('cpu')}, {machine.get('cores')} cores" for machine in machines}))
+    places = "; ".join(sorted({result["made"] for result in everybody}))
+    commits = ", ".join(sorted({str(result.get("machine", {}).get("commit")) for result in everybody}))
     head = ["", "ready after", "off its films, of 255", *(heading for heading, _, _ in COLUMNS)]
     lines = [
         "# Quality against time, from raw films",
@@ -165,7 +176,7 @@ def page(found: dict[str, list[dict[str, Any]]], options: Options) -> str:
         "from the command's start, films to file, poses included; before the first there is nothing to see. *Off its",
         "films*: root mean square; fields take the template's place where theirs is 2 % smaller. Total, head and hands",
         f"stand in this order. {options.size} px, a turn of {options.seconds:g} s in each video, seed {options.seed};",
-        f"every {options.truth_every}th held-out picture. {cpus}, commit {commits}.",
+        f"every {options.truth_every}th held-out picture. Made on {places}; judged at {commits}.",
         "",
         "Surfaces: poses of the person's own videos, after ICP, head and hands by themselves. Mask: the true person",
         "alone, without the black background.",
@@ -251,8 +262,7 @@ def main(argv: Sequence[str]) -> int:
         for made in avatars(folder):
             words = ["selfscan", "eval", made.file, folder / "raw", "--run", made.run, "--json", made.quality]
             run_stages([Stage(f"judge {folder.name}: {made.name}", made.quality, command(*words), JUDGING)])
-            clock = read_json_object(folder / made.films / "seconds.json", "when each avatar was there")
-            found.setdefault(folder.name, []).append(judged(made, folder / "raw", clock))
+            found.setdefault(folder.name, []).append(judged(made))
     write_json(out / "minutes.json", {"options": asdict(options), "people": found, "absent": absent})
     if not found:
         raise AssetError(f"{out}: nobody was made: {'; '.join(absent)}")
