@@ -122,6 +122,11 @@ class ReadVideos(NamedTuple):
         square = self.faced / np.maximum(self.frames, 1e-9)
         return often * np.clip((square - GRAZING) / (FACING - GRAZING), 0, 1)
 
+    def smoothing(self, estimated: bool) -> Float[Array, "texels"]:
+        """How many times mu counts at each texel, where poses were `estimated` or not."""
+        wide = self.pixel[self.part] / self.texel / WIDER
+        return np.square(np.maximum(wide, 1)) if estimated else np.ones(len(wide))
+
 
 def solve_texture(
     baked: BakedLevel, joints: Float[Array, "52 3"], videos: RunVideos, report: Callable[[str], None],
@@ -134,9 +139,7 @@ def solve_texture(
     found = read_videos(mesh, given, videos, change, facts, report)
     seams = seam_equations(mesh, baked, given)
     stay = STAY * (found.texel / found.pixel[found.part]) ** STAY_POWER
-    smooth = np.full(len(stay), SMOOTH if change is None else SMOOTH_SHINE)
-    if videos.estimated:
-        smooth *= np.square(np.maximum(found.pixel[found.part] / found.texel / WIDER, 1))
+    smooth = (SMOOTH if change is None else SMOOTH_SHINE) * found.smoothing(videos.estimated)
     prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
     equations, belief, blurred = found.equations, [np.ones(1, np.float32)] * len(PARTS), None
     if videos.estimated:

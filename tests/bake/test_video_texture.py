@@ -29,7 +29,7 @@ from bake.texture.pixel_reads import (
 )
 from bake.texture.texels import neighbour_pairs
 from bake.texture.texture_solve import Equations, Prior, shown_range, solve_change, within_shown
-from bake.texture.video_texture import averaged, averaging, doubted, solve_texture, strange_on_hair
+from bake.texture.video_texture import ReadVideos, averaged, averaging, doubted, solve_texture, strange_on_hair
 from capture.folder import read_capture
 from command.errors import AssetError
 from experiments.texture import level_of_file
@@ -237,6 +237,13 @@ def test_unseen_cloth_of_two_colors_is_one_of_them_and_nothing_between():
     off = np.minimum(np.abs(found - 0.9), np.abs(found - 0.1))
     assert off.max() < 2 * NEAR
     assert (np.abs(found - truth[~seen]).max(1) < 2 * NEAR).mean() > 0.85
+
+
+def test_pixels_much_wider_than_texels_are_smoothed_where_poses_were_estimated():
+    none, texel = np.zeros(3), np.full(3, 0.001)
+    found = ReadVideos([], [], [], none, none, np.array([0.001, 0.003, 0.006]), texel, np.arange(3))
+    np.testing.assert_allclose(found.smoothing(True), [1, 4, 16])
+    np.testing.assert_allclose(found.smoothing(False), 1)
 
 
 def test_stripes_go_on_round_a_limb_whatever_the_field_dreamt():
