@@ -45,9 +45,11 @@ hard-cases-night: setup
 	$(RUN) -m experiments.nth_calls
 	$(RUN) -m experiments.fuzz --page docs/fuzzing.md
 
-# Errors planted by hand, one after the other: each must fail the tests named beside it.
+# Errors planted one after the other, by hand and by chance: each must fail the tests named beside it.
 mutants: setup
 	$(RUN) -m experiments.mutants
+	$(VENV)/bin/pip install --disable-pip-version-check -q cosmic-ray
+	$(RUN) -m experiments.sampled_mutants -o docs/mutants.md
 
 lint: setup
 	$(VENV)/bin/ruff check .
