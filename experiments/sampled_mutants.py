@@ -40,6 +40,8 @@ CORE = {
 EQUAL: dict[tuple[str, str, str], str] = {
     ("avatar/skinning.py", "bones = quaternion_from_matrix(transforms[..., :3, :3])",
      "bones = quaternion_from_matrix(transforms[..., :3, : 4])"): "a fourth column is not read",
+    ("train/loss.py", "return (displacement.square().sum(-1) + 1e-12).sqrt().mean()",
+     "return (displacement.square().sum(+1) + 1e-12).sqrt().mean()"): "of two axes the second is the last",
     ("player/live/osc.py", "@lru_cache(64)", "@lru_cache( 65)"): "one pattern more is kept",
 }  # fmt: skip
 # alternatives of types and flags, which are no arithmetic
