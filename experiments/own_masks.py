@@ -40,7 +40,7 @@ class Off(NamedTuple):
 def compared(found: Bool[Array, "frames height width"], true: Bool[Array, "frames height width"]) -> Off:
     """All frames of a film as one."""
     near = np.ones((1, 3, 3), bool)
-    outside = ~binary_dilation(true, near, iterations=BESIDE)
+    outside = ~np.asarray(binary_dilation(true, near, iterations=BESIDE), bool)
     inside = binary_erosion(true, near, iterations=BESIDE)
     share = 100 / true.sum()
     counts = [(found & ~true).sum(), (true & ~found).sum(), (found & outside).sum(), (~found & inside).sum()]
