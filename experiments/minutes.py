@@ -137,13 +137,8 @@ def judged(made: Made) -> dict[str, Any]:
     clock = read_json_object(made.file.parents[1] / "seconds.json", "when each avatar was there")
     off = off_the_films(made.file) if made.films == "four" else None
     seconds = clock["seconds"].get(made.file.stem)
-    return found | {
-        "films": made.films,
-        "avatar": made.name,
-        "seconds": seconds,
-        "off_films": off,
-        "made": clock["machine"],
-    }
+    return found | {"films": made.films, "avatar": made.name, "seconds": seconds, "off_films": off,
+                    "made": clock["machine"]}  # fmt: skip
 
 
 def table(some: list[dict[str, Any]], chosen: str) -> list[str]:
@@ -172,7 +167,7 @@ def page(found: dict[str, list[dict[str, Any]]], options: Options) -> str:
         "# Quality against time, from raw films",
         "",
         "Written by `python -m experiments.minutes`. Synthetic videos of a phone in a room, a simulated detector's",
-        "keypoints, height and sex go in; `selfscan make` leaves several avatars, and each is judged. *Ready after*:",
+        "keypoints, height, sex go in (*from pixels*); `selfscan make` leaves avatars, each is judged. *Ready after*:",
         "from the command's start, films to file, poses included; before the first there is nothing to see. *Off its",
         "films*: root mean square; fields take the template's place where theirs is 2 % smaller. Total, head and hands",
         f"stand in this order. {options.size} px, a turn of {options.seconds:g} s in each video, seed {options.seed};",

@@ -94,7 +94,7 @@ def round_limbs(
         result[own] = beside(surface, color, given, asked)
         if axis.any():
             same = np.flatnonzero((surface.piece == piece) & (surface.limb == limb))
-            shown = given[surface.limb[given] == limb]
+            shown = given[(surface.piece[given] == piece) & (surface.limb[given] == limb)]
             rings = Rings.about(axis, surface.points[same])
             # the inside of cloth is none of its outside
             for out in (False, True):

@@ -44,7 +44,7 @@ def mistakes_of(config: RawConfig) -> Mistakes:
     return Mistakes(config.keypoint_noise, config.keypoint_bias / 100)
 
 
-class Film(NamedTuple):
+class RawFilm(NamedTuple):
     """One of the raw videos, for a worker process."""
 
     folder: Path
@@ -66,8 +66,8 @@ def film_raw(
     wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
     plan = {part: plan_raw_video(studio, part, wide, config.seconds, RATE, config.sway, seed) for part in PARTS}
     films = {
-        part: Film(folder, FILES[part], studio.subject, studio.supersample, studio.sheen, shots, lights[part], config,
-                   [seed, number])
+        part: RawFilm(folder, FILES[part], studio.subject, studio.supersample, studio.sheen, shots, lights[part],
+                      config, [seed, number])
         for number, (part, shots) in enumerate(plan.items())
     }  # fmt: skip
     if config.face_film:
@@ -82,7 +82,7 @@ def film_raw(
     return plan
 
 
-def _filmed(film: Film, report: Reporter) -> None:
+def _filmed(film: RawFilm, report: Reporter) -> None:
     """Write one video, and what belongs to it."""
     shots = film.shots
     truth = film.folder / "truth" / shots.part

@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.distance import cdist
 
 from avatar.light import CaptureLight, Lamp
-from avatar.skeleton import PARTS
+from avatar.skeleton import JOINTS, PARTS
 from bake.cone import ViewCone, cone_direction
 from bake.level import places_on_finest
 from bake.run_capture import run_videos
@@ -29,7 +29,15 @@ from bake.texture.pixel_reads import (
 )
 from bake.texture.texels import neighbour_pairs
 from bake.texture.texture_solve import Equations, Prior, shown_range, solve_change, within_shown
-from bake.texture.video_texture import ReadVideos, averaged, averaging, doubted, solve_texture, strange_on_hair
+from bake.texture.video_texture import (
+    ReadVideos,
+    averaged,
+    averaging,
+    doubted,
+    limb_axes,
+    solve_texture,
+    strange_on_hair,
+)
 from capture.folder import read_capture
 from command.errors import AssetError
 from experiments.texture import level_of_file
@@ -244,6 +252,13 @@ def test_pixels_much_wider_than_texels_are_smoothed_where_poses_were_estimated()
     found = ReadVideos([], [], [], none, none, np.array([0.001, 0.003, 0.006]), texel, np.arange(3))
     np.testing.assert_allclose(found.smoothing(True), [1, 4, 16])
     np.testing.assert_allclose(found.smoothing(False), 1)
+
+
+def test_print_runs_round_trunk_and_limbs_and_a_collar_has_no_direction(painted):
+    axes = dict(zip(JOINTS, limb_axes(painted.joint_positions[: len(JOINTS)]), strict=True))
+    for name in ("spine2", "left_shoulder", "right_knee"):
+        assert np.linalg.norm(axes[name]) == pytest.approx(1)
+    assert not axes["neck"].any() and not axes["left_collar"].any() and np.isnan(axes["head"]).all()
 
 
 def test_stripes_go_on_round_a_limb_whatever_the_field_dreamt():

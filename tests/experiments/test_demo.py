@@ -63,7 +63,8 @@ def test_raw_videos_of_who_calls_for_a_view_network_are_made_and_the_report_has_
 
     monkeypatch.setattr("experiments.demo.command", command)
     stages(tmp_path)
-    synth, make, _, bench = commands
+    synth, make, sheet, bench = commands
+    assert sheet[-2:] == synth[-2:] == ["--sheen", "0.5"]
     assert float(synth[synth.index("--sheen") + 1]) > 0 and "--raw" in synth
     assert make[make.index("--minutes") + 1] == "15" and make[2] == synth[3] == str(tmp_path / "films")
     assert int(bench[bench.index("--rounds") + 1]) >= 20 and int(bench[bench.index("--frames") + 1]) > 1
