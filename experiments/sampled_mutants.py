@@ -27,7 +27,7 @@ CORE = {
     "avatar/similarity.py": f"{HARD}registration.py",
     "geometry/icp.py": f"{HARD}registration.py tests/geometry/test_icp.py",
     "geometry/least_squares.py": "tests/geometry/test_icp.py",
-    "geometry/isosurface.py": "tests/geometry/test_isosurface.py",
+    "geometry/isosurface.py": f"tests/geometry/test_isosurface.py {HARD}surface_atlas.py",
     "train/render.py": f"{HARD}volume_rendering.py tests/train/test_integrals.py",
     "train/loss.py": f"{HARD}volume_rendering.py tests/train/test_integrals.py",
     "player/pose/ik.py": "tests/player/test_ik.py",

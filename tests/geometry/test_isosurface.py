@@ -24,6 +24,12 @@ def test_graded_axis_is_fine_inside_its_spans_only_and_takes_the_finest_step_of_
     assert (steps[(middle < -0.6) | (middle > 0.7)] > 0.049).all()
 
 
+@pytest.mark.parametrize("high, coarse, fine", [(1.0, 0.01, 0.02), (1.0, 0.01, 0.0), (0.0, 0.02, 0.01)])
+def test_an_axis_without_length_or_with_steps_the_wrong_way_round_is_refused(high, coarse, fine):
+    with pytest.raises(ValueError, match=f"axis from 0.0 to {high} with steps {coarse}, {fine}"):
+        graded_axis(0.0, high, [], coarse, fine)
+
+
 STEPS = GridSteps(0.008, 0.004)
 outward = lambda points: points / np.linalg.norm(points, axis=1, keepdims=True)
 

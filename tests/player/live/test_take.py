@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pose_twins import angles_between
 from refusals import refused
 
 from avatar.motion.amass import read_amass, write_amass
@@ -16,7 +17,7 @@ from command.errors import AssetError
 from player.draw.drawing import Pose
 from player.live.frame import LiveFrame
 from player.live.latency import Latency
-from player.live.one_euro import OneEuro
+from player.live.one_euro import LEAST, MOVE_GAIN, TURN_GAIN, OneEuro
 from player.live.take import MOST_FRAMES, Take, even_rate
 
 ROOT = Path(__file__).parents[3]
@@ -175,6 +176,17 @@ def test_one_euro_steadies_a_jitter_follows_a_motion_and_takes_the_short_way():
     for angle in np.linspace(3.0, 3.3, 50):
         found = smooth(pose(angle), 1 / 60).axis_angle[16, 2]
     assert abs((found - 3.3 + np.pi) % (2 * np.pi) - np.pi) < 0.01
+
+
+def test_one_euro_lags_behind_an_even_motion_as_its_cut_off_says():
+    """A low pass of cut-off f is v / (2 pi f) behind what moves at v: f = least + gain v, of turn and root apart."""
+    turn, move, smooth = 2.0, 0.5, OneEuro()
+    for step in range(600):
+        at = Pose(pose(turn * step / 60).axis_angle, np.array([move * step / 60, 1.0, 0.0]))
+        found = smooth(at, 1 / 60)
+    (left,) = angles_between(found.axis_angle[16:17], at.axis_angle[16:17])
+    assert left == pytest.approx(turn / (2 * np.pi * (LEAST + TURN_GAIN * turn)), rel=1e-3)
+    assert found.root == pytest.approx(at.root - [move / (2 * np.pi * (LEAST + MOVE_GAIN * move)), 0, 0], abs=1e-5)
 
 
 def test_stamps_become_percentiles():
