@@ -13,8 +13,9 @@ from bake.face.template import FaceRefused
 
 # metres off the ball at which lids lie at rest, at least, and at which they end when they close
 AT_REST, CLOSED = 0.0003, 0.0004
-# metres that the upper edge ends below the lower one
-OVER = 0.0003
+# metres that the upper edge ends below the lower one, and by how much more for a metre that it stands off farther:
+# from 25 degrees below no view goes between them
+OVER, BELOW = 0.0003, 0.47
 # metres round the ball's middle in which lids are kept outside of it
 LIDS = 0.02
 # by how much less or more than the template's a lid moves, and metres along it over which that is smoothed
@@ -49,11 +50,14 @@ def fitted_blink(
     """
     edge, moved = points[loop] - center, blink[loop]
     upper = edges_of_lids(edge)
-    low = by_x((edge + moved)[~upper])
+    closed = edge + moved
+    away = np.linalg.norm(closed, axis=1)
+    low = by_x(np.c_[closed[:, :2], away][~upper])
     top = edge[upper]
     if not -moved[upper, 1].min() > 0.002:
         raise FaceRefused("its template's lids do not close over its eyes")
-    wanted = top[:, 1] - np.interp(top[:, 0] + moved[upper, 0], low[:, 0], low[:, 1]) + OVER
+    end, deep = (np.interp(closed[upper, 0], low[:, 0], low[:, k]) for k in (1, 2))
+    wanted = top[:, 1] - end + OVER + BELOW * np.maximum(away[upper] - deep, 0)
     down = np.maximum(-moved[upper, 1], 1e-4)
     # corners hardly move: their factor says nothing
     corner = np.minimum(top[:, 0] - top[:, 0].min(), top[:, 0].max() - top[:, 0])

@@ -8,6 +8,7 @@ What the lids hid when the eye was filmed is filled: rings of the iris by what w
 color. The dark of the upper lid stays with its rim, which is drawn in the color of the lid's edge.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,8 +29,10 @@ from geometry.mesh import component_labels, half_edges
 
 # metres off the ball beyond which nothing is of it
 REACH = 0.012
-# metres of an edge beside an eye that is painted on the surface, at most
+# metres of an edge beside an eye that is painted on the surface or cut as pictured, at most
 LONGEST = 0.0025
+# metres, on the mean, that lids may be off those of the picture before the picture's count
+OFF = 0.0007
 # width and height of its opening beside the template's
 PAINTED = np.array([1.2, 1.25])
 # radians from the axis to the edge of the cap: seen through the lids when it turns by 20 degrees
@@ -58,31 +61,39 @@ class OpenEye(NamedTuple):
     ball: Integer[Array, "faces 3"]  # by the level's vertices
 
 
+def edge_of_lids(person: PersonFace, center: Float[Array, "3"]) -> Float[Array, "n 3"]:
+    """Along the edges of a template's lids, or round the larger opening of an eye that is painted on a surface."""
+    own = person.face.lids[0 if center[0] > person.eyes.centres[:, 0].mean() else 1]
+    loop = person.vertices[np.r_[own[0], own[1][-2:0:-1]]]
+    return loop if person.filmed else center + np.append(PAINTED, 1) * (loop - center)
+
+
 def cut_ball(
-    level: Level, person: PersonFace, center: Float[Array, "3"], radius: float, coarse: float = 1.0
-) -> OpenEye:
-    """Cut the ball's side of a level away, where it is as near to the ball as to the template's lids; edges beside a
-    painted eye may be `coarse` times as long.
+    level: Level, person: PersonFace, center: Float[Array, "3"], radius: float, coarse: float = 1.0,
+    opening: Float[Array, "n 2"] | None = None,
+) -> OpenEye:  # fmt: skip
+    """Cut the ball's side of a level away: what lies in the pictured `opening`, or where the level is as near to the
+    ball as to the template's lids; edges beside either may be `coarse` times as long.
 
     Raises:
         FaceRefused: there is no ball between the lids, or its edge is no loop.
     """
     if not person.filmed:
+        opening = edge_of_lids(person, center)[:, :2]
+    if opening is not None:
         level = refined(level, lambda points: np.linalg.norm(points - center, axis=1) < 1.7 * radius, coarse * LONGEST)
     points, faces = level.positions.astype(np.float64), level.faces.astype(np.int64)
     offset = points - center
     away = np.abs(np.linalg.norm(offset, axis=1) - radius)
     rows = np.flatnonzero((away < REACH) & (offset[:, 2] > 0))
     value = np.ones(len(points))
-    if person.filmed:
+    if opening is None:
         corners = person.vertices[person.skin] - center
         near = (np.linalg.norm(corners, axis=2) < radius + 3 * REACH).all(1)
         lids = closest_points(points[rows], triangle_index(person.vertices, person.skin[near])).distance
         value[rows] = away[rows] - lids
     else:
-        own = person.face.lids[0 if center[0] > person.eyes.centres[:, 0].mean() else 1]
-        loop = person.vertices[np.r_[own[0], own[1][-2:0:-1]], :2]
-        value[rows] = beyond_loop(points[rows, :2], center[:2] + PAINTED * (loop - center[:2]))
+        value[rows] = beyond_loop(points[rows, :2], opening)
     value = only_front(value, offset, places(points), faces)
     cut = cut_along(faces, value)
     grown, count = extended(level, cut.edges, cut.share), len(points)
@@ -97,6 +108,21 @@ def cut_ball(
     own = half_edges(cut.faces[cut.side > 0])
     own = own[(own >= count).all(1) & np.isin(place[own], place[loop]).all(1)]
     return OpenEye(replace(grown, faces=kept), loop, own[lonely(place[own])], person.filmed, cut.faces[cut.side < 0])
+
+
+def pictured_lids(
+    level: Level, person: PersonFace, drawings: Sequence[EyeDrawing | None]
+) -> list[Float[Array, "_ 2"] | None]:
+    """The openings that drawings of both eyes have, where the lids that a cut leaves are farther than OFF from them."""
+    openings = [drawing.opening for drawing in drawings if drawing is not None]
+    if not person.filmed or len(openings) < 2:
+        return [None, None]
+    off = []
+    for center, radius, opening in zip(*person.eyes, openings):
+        opened = cut_ball(level, person, center, float(radius))
+        edge = opened.level.positions[opened.loop, :2].astype(np.float64)
+        off.append(np.abs(beyond_loop(edge, opening)).mean())
+    return [*openings] if np.mean(off) > OFF else [None, None]
 
 
 def lonely(edges: Integer[Array, "n 2"]) -> Bool[Array, "n"]:

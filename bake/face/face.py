@@ -17,7 +17,18 @@ from bake.face.blink import LIDS, fitted_blink, outside, pushed_out
 from bake.face.carry import carried
 from bake.face.cut import MEANS, joined
 from bake.face.eye_drawing import draw_eyes
-from bake.face.eyes import WITHIN, Cap, OpenEye, cap, cut_ball, disc, eye_axis, iris_picture
+from bake.face.eyes import (
+    WITHIN,
+    Cap,
+    OpenEye,
+    cap,
+    cut_ball,
+    disc,
+    edge_of_lids,
+    eye_axis,
+    iris_picture,
+    pictured_lids,
+)
 from bake.face.features import aligned
 from bake.face.follow import following
 from bake.face.lips import LipLine, cut_lips, lip_line
@@ -35,7 +46,7 @@ ROUNDS = 3
 # metres: less is no motion, and takes no bytes; the same of what lies behind the lips
 STILL, BEHIND_LIPS = 2e-4, 5e-4
 # metres that the rim of the lids reaches into the ball, and behind the lids
-RIM_IN, RIM_UNDER = 0.0006, 0.0015
+RIM_IN, RIM_UNDER = 0.0006, 0.003
 
 # texels a side of an atlas below which there are 16 rows for the pictures
 SMALLEST = 256
@@ -103,12 +114,15 @@ def with_face(levels: Sequence[Level], person: PersonFace, film: OwnFace | None 
     line, out = lip_line(person), list(levels)
     pictures: Pictures = {}
     eyes: list[Eye] = []
+    lids = [edge_of_lids(person, center) for center in person.eyes.centres]
+    drawings = draw_eyes(levels[0], lids, person.eyes.centres) or [None, None]
+    openings = pictured_lids(levels[0], person, drawings)
     for number, (level, coarse) in enumerate(zip(levels, COARSE, strict=False)):
         texels = len(level.base_color)
         try:
             if texels < SMALLEST:
                 raise FaceRefused(f"its atlas of {texels} texels a side has no room for it")
-            parts = parted(level, person, line, coarse)
+            parts = parted(level, person, line, coarse, openings)
         except FaceRefused:
             if number == 0:
                 raise
@@ -117,8 +131,6 @@ def with_face(levels: Sequence[Level], person: PersonFace, film: OwnFace | None 
         moves = [parts.growing.offsets[:, edge] for edge in (parts.upper, parts.lower)]
         mouth = mouth_behind(coarser(person) if number else person, at, (moves[0], moves[1]))
         if number == 0:
-            loops = [one.level.positions[one.loop].astype(np.float64) for one in parts.opened]
-            drawings = draw_eyes(level, loops, person.eyes.centres) or [None, None]
             for one, center, radius, place, drawing in zip(parts.opened, *person.eyes, EYES, drawings):
                 axis = eye_axis(one, center) if drawing is None else drawing.axis(float(radius))
                 eyes.append(Eye(center, axis, float(radius) - WITHIN))
@@ -130,12 +142,16 @@ def with_face(levels: Sequence[Level], person: PersonFace, film: OwnFace | None 
     return Faced(out, (eyes[0], eyes[1]))
 
 
-def parted(level: Level, person: PersonFace, line: LipLine, coarse: float = 1.0) -> Parted:
-    """A level cut at lips and eyes, its shapes carried from the template and fitted to its eyes."""
+def parted(
+    level: Level, person: PersonFace, line: LipLine, coarse: float = 1.0,
+    openings: Sequence[Float[Array, "_ 2"] | None] = (None, None),
+) -> Parted:  # fmt: skip
+    """A level cut at lips and eyes, these at the pictured openings or the template's, its shapes carried from the
+    template and fitted to its eyes."""
     cut = cut_lips(level, line, coarse)
     level, opened = cut.level, []
-    for center, radius in zip(*person.eyes):
-        opened.append(cut_ball(level, person, center, float(radius), coarse))
+    for center, radius, opening in zip(*person.eyes, openings):
+        opened.append(cut_ball(level, person, center, float(radius), coarse, opening))
         level = opened[-1].level
     lip = np.r_[cut.lip, np.zeros(len(level.positions) - len(cut.lip), np.int64)]
     offsets = carried(level, person, line, lip, flat=not person.filmed)
