@@ -30,8 +30,8 @@ class FaceSheet(NamedTuple):
     subject: CaptureSubject
 
 
-def face_sheet(texels: int = 512) -> FaceSheet:
-    """The sheet, its lips' line, whites and irises painted."""
+def face_sheet(texels: int = 512, lids: float = 0.0) -> FaceSheet:
+    """The sheet, its lips' line, whites and irises painted; lids end so many metres above the template's."""
     subject = free_subject("male")
     person = person_face(subject)
     low, high = (f(person.vertices[person.skin].reshape(-1, 3), axis=0) for f in (np.min, np.max))
@@ -52,7 +52,7 @@ def face_sheet(texels: int = 512) -> FaceSheet:
     level = Level(
         points.astype(np.float32), normals.astype(np.float32), uv.astype(np.float32), faces.astype(np.uint32),
         ones * JOINTS.index("head"), ones * 255, -normals.astype(np.float32), np.zeros((count, 6), np.float32),
-        np.ones(count, np.float32), (255 * painted(at, person)).astype(np.uint8).reshape(texels, texels, 3),
+        np.ones(count, np.float32), (255 * painted(at, person, lids)).astype(np.uint8).reshape(texels, texels, 3),
         np.full((texels // 2, texels // 2, 4), 128, np.uint8),
     )  # fmt: skip
     return FaceSheet(level, person, subject)
@@ -72,7 +72,7 @@ def heights(x: Array, y: Array, person: PersonFace) -> Array:
     return z.ravel()
 
 
-def painted(at: Array, person: PersonFace) -> Array:
+def painted(at: Array, person: PersonFace, lids: float = 0.0) -> Array:
     """sRGB of places seen from the front."""
     color = np.tile(SKIN, (len(at), 1))
     upper, lower = (person.vertices[half] for half in builtin_face().seam)
@@ -81,7 +81,8 @@ def painted(at: Array, person: PersonFace) -> Array:
     for center, (upper, lower) in zip(person.eyes.centres, person.face.lids):
         away = np.linalg.norm(at - center[:2], axis=1)
         near = np.flatnonzero(away < 0.02)
-        open_ = near[beyond_loop(at[near], person.vertices[np.r_[upper, lower[-2:0:-1]], :2]) < 0.0005]
+        edge = person.vertices[np.r_[upper, lower[-2:0:-1]], :2] + [0, lids]
+        open_ = near[beyond_loop(at[near], edge) < 0.0005]
         color[open_] = np.where(away[open_, None] < 0.006, IRIS, WHITE)
         color[open_[away[open_] < 0.0024]] = 0.04
     return color

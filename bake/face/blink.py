@@ -13,9 +13,9 @@ from bake.face.template import FaceRefused
 
 # metres off the ball at which lids lie at rest, at least, and at which they end when they close
 AT_REST, CLOSED = 0.0003, 0.0004
-# metres that the upper edge ends below the lower one, and by how much more for a metre that it stands off farther:
-# from 25 degrees below no view goes between them
-OVER, BELOW = 0.0003, 0.47
+# metres that the upper edge ends below the lower one, and by how much more for a metre that it stands off farther, at
+# most FARTHER: from 25 degrees below no view goes between them
+OVER, BELOW, FARTHER = 0.0003, 0.47, 0.003
 # metres round the ball's middle in which lids are kept outside of it
 LIDS = 0.02
 # by how much less or more than the template's a lid moves, and metres along it over which that is smoothed
@@ -57,7 +57,7 @@ def fitted_blink(
     if not -moved[upper, 1].min() > 0.002:
         raise FaceRefused("its template's lids do not close over its eyes")
     end, deep = (np.interp(closed[upper, 0], low[:, 0], low[:, k]) for k in (1, 2))
-    wanted = top[:, 1] - end + OVER + BELOW * np.maximum(away[upper] - deep, 0)
+    wanted = top[:, 1] - end + OVER + BELOW * np.clip(away[upper] - deep, 0, FARTHER)
     down = np.maximum(-moved[upper, 1], 1e-4)
     # corners hardly move: their factor says nothing
     corner = np.minimum(top[:, 0] - top[:, 0].min(), top[:, 0].max() - top[:, 0])
