@@ -30,10 +30,12 @@ from geometry.closest import beyond_loop
 # opening up to which is drawn; height of lashes; by which an opening is cut larger, or lids would have white edges
 LIDS, ALIKE, BESIDE, LASHES, LARGER = 0.001, 0.0015, 0.004, 0.0015, 0.0004
 # sRGB of a pupil, and what iris and white are before anything was seen; lashes are so much darker than skin
-BLACK, EXPECTED, DARK = 0.04, np.array([[0.35, 0.31, 0.29], [0.70, 0.66, 0.64]]), 0.3
+BLACK, EXPECTED, DARK = 0.04, np.array([[0.28, 0.23, 0.20], [0.70, 0.66, 0.64]]), 0.3
 # share of the pixels that this counts as; of their variance between the lids a drawing explains so much of each eye at
 # least, and its white is so much brighter than its iris
-PRIOR, EXPLAINED, WHITER = 0.03, 0.3, 0.08
+PRIOR, EXPLAINED, WHITER = 0.01, 0.3, 0.08
+# nothing that is drawn exceeds its white by more than this factor
+BRIGHTEST = 1.05
 ROUNDS = 3
 
 
@@ -136,8 +138,10 @@ def draw_eyes(
     out = []
     for eye, center, parts, blurred in zip(eyes, centers, drawn.parts, drawn.blurred):
         ball = parts.ball @ drawn.colors[:2] + BLACK * parts.pupil[..., None]
-        added, opening = parts.opening[..., None] * (ball - blurred), center[:2] + _opening(eye, shape)
-        out.append(EyeDrawing(added, eye.picture, _middle(eye, shape), opening))
+        seen = eye.picture.colors
+        added = np.minimum(ball - blurred, np.maximum(BRIGHTEST * drawn.colors[1] - seen, 0))
+        opening = center[:2] + _opening(eye, shape)
+        out.append(EyeDrawing(parts.opening[..., None] * added, eye.picture, _middle(eye, shape), opening))
     return out
 
 
