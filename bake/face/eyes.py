@@ -33,6 +33,8 @@ REACH = 0.012
 LONGEST = 0.0025
 # metres, on the mean, that lids may be off those of the picture before the picture's count
 OFF = 0.0007
+# of the template's opening
+TALLER = 1.25
 # width and height of its opening beside the template's
 PAINTED = np.array([1.2, 1.25])
 # radians from the axis to the edge of the cap: seen through the lids when it turns by 20 degrees
@@ -113,7 +115,8 @@ def cut_ball(
 def pictured_lids(
     level: Level, person: PersonFace, drawings: Sequence[EyeDrawing | None]
 ) -> list[Float[Array, "_ 2"] | None]:
-    """The openings that drawings of both eyes have, where the lids that a cut leaves are farther than OFF from them."""
+    """The openings that drawings of both eyes have, where the lids that a cut leaves are farther than OFF from them;
+    one that is TALLER took skin for white."""
     openings = [drawing.opening for drawing in drawings if drawing is not None]
     if not person.filmed or len(openings) < 2:
         return [None, None]
@@ -121,6 +124,8 @@ def pictured_lids(
     for center, radius, opening in zip(*person.eyes, openings):
         opened = cut_ball(level, person, center, float(radius))
         edge = opened.level.positions[opened.loop, :2].astype(np.float64)
+        if np.ptp(opening[:, 1]) > TALLER * np.ptp(edge[:, 1]):
+            return [None, None]
         off.append(np.abs(beyond_loop(edge, opening)).mean())
     return [*openings] if np.mean(off) > OFF else [None, None]
 

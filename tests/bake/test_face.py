@@ -244,7 +244,7 @@ def test_a_face_has_the_eyes_that_were_drawn_in_its_strip(monkeypatch):
 
 
 def test_lids_are_cut_where_the_picture_has_them_and_close_there():
-    """Painted as the template has them and two millimetres above; those that it has are not cut anew."""
+    """Painted as the template has them and two millimetres above."""
     ends, line = [], lip_line(SHEET.person)
     lids = [edge_of_lids(SHEET.person, center) for center in SHEET.person.eyes.centres]
     for up in (0.0, 0.002):
@@ -252,11 +252,7 @@ def test_lids_are_cut_where_the_picture_has_them_and_close_there():
         level = replace(level, base_color=bytes_of(gaussian_filter(level.base_color / 255.0, (2, 2, 0))))
         drawings = draw_eyes(level, lids, SHEET.person.eyes.centres)
         assert drawings is not None
-        openings = pictured_lids(level, SHEET.person, drawings)
-        assert all(opening is not None for opening in openings)
-        own = [one.level.positions[one.loop, :2].astype(np.float64) for one in PARTED.opened]
-        drawings = [drawing._replace(opening=edge) for drawing, edge in zip(drawings, own)]
-        assert pictured_lids(level, SHEET.person, drawings) == [None, None]
+        openings = [drawing.opening for drawing in drawings]
         parts = parted(level, SHEET.person, line, openings=openings)
         points = parts.growing.level.positions
         ends.append([[points[one.loop, 1].max(), points[one.loop, 1].min()] for one in parts.opened])
@@ -271,6 +267,17 @@ def test_lids_are_cut_where_the_picture_has_them_and_close_there():
     # without lashes an iris that reaches up to the lid is told from it less exactly
     higher = np.subtract(*ends[::-1])
     assert (higher > 0.0004).all() and (np.abs(higher[:, 1] - 0.002) < 0.0008).all()
+
+
+@pytest.mark.parametrize("up, tall, counts", [(0.0, 1.0, False), (0.0015, 1.0, True), (0.0015, 1.4, False)])
+def test_lids_of_a_picture_count_where_the_template_s_are_off_them_and_no_lower_lid_was_lost(up, tall, counts):
+    lids = [edge_of_lids(SHEET.person, center) for center in SHEET.person.eyes.centres]
+    drawings = draw_eyes(SHEET.level, lids, SHEET.person.eyes.centres)
+    assert drawings is not None
+    edges = [one.level.positions[one.loop, :2].astype(np.float64) for one in PARTED.opened]
+    edges = [edge.mean(0) + [0, up] + [1, tall] * (edge - edge.mean(0)) for edge in edges]
+    found = pictured_lids(SHEET.level, SHEET.person, [d._replace(opening=e) for d, e in zip(drawings, edges)])
+    assert [opening is not None for opening in found] == [counts] * 2
 
 
 def test_lips_that_registration_left_beside_the_picture_s_are_found():
