@@ -7,7 +7,7 @@ VENV = .venv
 RUN = $(VENV)/bin/python
 TORCH_INDEX ?=
 JOBS ?= 2  # test processes side by side
-# compiled once and kept: else each of hundreds of processes spends seconds on torch and SciPy alone
+# bytecode is compiled once and kept: else each of hundreds of processes spends seconds on torch and SciPy alone
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-all hard-cases hard-cases-night limits mutants setup system lint clean

@@ -36,7 +36,8 @@ BLACK, EXPECTED, DARK = 0.04, np.array([[0.28, 0.23, 0.20], [0.70, 0.66, 0.64]])
 PRIOR, EXPLAINED, WHITER = 0.01, 0.3, 0.08
 # nothing that is drawn exceeds its white by more than this factor
 BRIGHTEST = 1.05
-ROUNDS = 3
+# metres by which places are tried, and how often all that is tried is gone through
+STEP, ROUNDS = 0.0005, 3
 
 
 class EyeDrawing(NamedTuple):
@@ -84,7 +85,6 @@ class _Shape(NamedTuple):
     blur: float = 0.001
 
 
-STEP = 0.0005
 LIDS_OFF, IRIS_OFF = np.arange(-2, 6) * STEP, np.arange(-4, 5) * STEP
 # fields of a shape and what is tried for them, one line after the other, ROUNDS times
 TRIED: tuple[tuple[tuple[str, ...], tuple[Sequence[float] | Array, ...]], ...] = (
@@ -111,7 +111,7 @@ class _Parts(NamedTuple):
 
 class _Drawn(NamedTuple):
     left: float  # sum of squares
-    colors: Float[Array, "5 3"]  # of _Parts.shown
+    colors: Float[Array, "5 3"]  # sRGB, in the order of _Parts.shown
     parts: list[_Parts]
     blurred: list[Float[Array, "height width 3"]]  # what each drawing looks like
 
@@ -119,7 +119,8 @@ class _Drawn(NamedTuple):
 def draw_eyes(
     level: Level, loops: Sequence[Float[Array, "_ 3"]], centers: Float[Array, "2 3"]
 ) -> list[EyeDrawing] | None:
-    """The drawings that look like both eyes of a level whose balls are not yet cut away; None: none do.
+    """The drawings that look like both eyes of a level whose balls are not yet cut away; None: none do,
+    or lids are shut.
 
     `loops` go along the edges of the template's lids, `centers` are the balls'.
     """
@@ -133,12 +134,14 @@ def draw_eyes(
             shape = min(tried, key=lambda one: _drawn(eyes, one).left)
     drawn = _drawn(eyes, shape)
     iris, white = drawn.colors[:2].mean(1)
+    if min(parts.opening.max() for parts in drawn.parts) < 1:
+        return None
     if white < iris + WHITER or min(map(_explained, eyes, drawn.blurred)) < EXPLAINED:
         return None
     out = []
     for eye, center, parts, blurred in zip(eyes, centers, drawn.parts, drawn.blurred):
         ball = parts.ball @ drawn.colors[:2] + BLACK * parts.pupil[..., None]
-        seen = eye.picture.colors
+        seen = np.nan_to_num(eye.picture.colors)
         added = np.minimum(ball - blurred, np.maximum(BRIGHTEST * drawn.colors[1] - seen, 0))
         opening = center[:2] + _opening(eye, shape)
         out.append(EyeDrawing(parts.opening[..., None] * added, eye.picture, _middle(eye, shape), opening))
@@ -160,7 +163,7 @@ def _seen(level: Level, loop: Float[Array, "n 3"], center: Float[Array, "3"]) ->
 
 
 def _middle(eye: _FilmedEye, shape: _Shape) -> Float[Array, "2"]:
-    """Where the iris is."""
+    """Where the iris' middle is, from the ball's to the left and upwards, metres."""
     middle = 0.5 * (eye.upper.max() + shape.upper + eye.lower.min() + shape.lower)
     return np.array([eye.outwards * shape.apart + shape.aside, middle + shape.over])
 
@@ -208,4 +211,4 @@ def _drawn(eyes: Sequence[_FilmedEye], shape: _Shape) -> _Drawn:
 def _explained(eye: _FilmedEye, blurred: Float[Array, "height width 3"]) -> float:
     """Share of the variance between the lids that is the drawing's."""
     seen, drawn = (image.reshape(-1, 3)[eye.between] for image in (eye.picture.colors, blurred))
-    return float(1 - np.square(seen - drawn).sum() / np.square(seen - seen.mean(0)).sum())
+    return float(1 - np.square(seen - drawn).sum() / max(np.square(seen - seen.mean(0)).sum(), 1e-9))

@@ -33,7 +33,7 @@ REACH = 0.012
 LONGEST = 0.0025
 # metres, on the mean, that lids may be off those of the picture before the picture's count
 OFF = 0.0007
-# of the template's opening
+# heights of the template's opening that one in the picture has at most
 TALLER = 1.25
 # width and height of its opening beside the template's
 PAINTED = np.array([1.2, 1.25])
