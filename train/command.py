@@ -16,7 +16,7 @@ from command.settings import AtLeast, AtMost, OneOf
 
 MOST_STEPS = 100_000_000
 # the presets of train/preset.py, which needs torch: a command line is read without it
-PRESET_NAMES = ("demo", "fast", "paper", "preview")
+PRESET_NAMES = ("demo", "fast", "paper", "preview", "head")
 ITEM_NAMES = ("light", "hair", "clothes", "eyes")
 
 
@@ -49,6 +49,11 @@ class TrainOptions:
         "eyes (open, with eyeballs, as the template has them)",
     ] = ()  # fmt: skip
 
+    like: Annotated[
+        Path | None, Option(metavar="RUN"),
+        "take hair, clothes and light as that run of the same capture found them, a preview's for instance",
+    ] = None  # fmt: skip
+
     def __post_init__(self):
         if self.resume and self.force:
             raise ValueError("--resume goes on, --force begins anew: choose one")
@@ -63,6 +68,7 @@ into one. Writes a run folder, which `selfscan bake` turns into an avatar.
 presets
   preview nothing is learned: the fitted template with hair and clothes as carved, in the colors that the videos show.
           Seconds; a run like any other.
+  head    the preview with the head's field learned, in a minute or two of 2 CPU cores.
   demo    2 CPU cores, about 2 GB of memory, minutes. Tri-planes over the body template; no GPU needed.
   fast    a CUDA device: hash grids, more rays, finer in the end. Runs on a CPU too, in hours.
   paper   the supplement's networks and 100 000 steps a part: a CUDA device and hours. For comparison.

@@ -130,9 +130,14 @@ class Preset:
         return PARTS if len(self.parts) == len(PARTS) else ("single",)
 
     @property
-    def learns(self) -> bool:
-        """Whether there is anything to train; else the parts are the template in the colors that the videos show."""
-        return any(part.iterations for part in self.parts)
+    def learned(self) -> tuple[int, ...]:
+        """The parts that are trained, by number; the others are the template in the colors that the videos show."""
+        return tuple(index for index, part in enumerate(self.parts) if part.iterations)
+
+    @property
+    def meets(self) -> bool:
+        """Whether the body learns how it meets the parts (stage 2, Eq. 7, 8 and 13)."""
+        return len(self.parts) > 1 and 0 in self.learned
 
 
 _DEMO_BODY = PartPreset(
@@ -251,14 +256,18 @@ PREVIEW = replace(
     surface_cells=(0.009, 0.0035, 0.0035),
 )
 
-PRESETS: dict[str, Preset] = dict(zip(PRESET_NAMES, (DEMO, FAST, PAPER, PREVIEW), strict=True))
+# The preview with a head that is learned, hair and all: from films of a phone, fields gain most there
+HEAD = replace(PREVIEW, name="head", parts=(PREVIEW.parts[0], replace(_DEMO_HEAD, iterations=300), *PREVIEW.parts[2:]))
+
+PRESETS: dict[str, Preset] = dict(zip(PRESET_NAMES, (DEMO, FAST, PAPER, PREVIEW, HEAD), strict=True))
 
 
 def shortened(preset: Preset, iterations: int) -> Preset:
-    """The preset with `iterations` steps per part; fitting to the template, stage 2 and Eq. 8 get no more steps."""
+    """The preset with `iterations` steps per part that learns; fitting to the template, stage 2 and Eq. 8 get no
+    more steps."""
     return replace(
         preset,
-        parts=tuple(replace(part, iterations=iterations) for part in preset.parts),
+        parts=tuple(replace(part, iterations=iterations if part.iterations else 0) for part in preset.parts),
         prefit=min(preset.prefit, max(iterations, 100)),
         union=replace(preset.union, iterations=min(preset.union.iterations, iterations)),
         appearance_steps=min(preset.appearance_steps, iterations),

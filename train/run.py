@@ -73,7 +73,7 @@ class Run:
         with_templates = lambda names: self.field.with_templates(names).functions()
         return BakeSource(
             self.field.functions(), self.surface, self.subject, self.provenance, self.world_light,
-            with_templates if self.preset.learns else None,
+            with_templates if self.preset.learned else None,
         )  # fmt: skip
 
     @property

@@ -1,4 +1,4 @@
-"""The parts of the `preview` preset: the template itself, painted as the videos show it; nothing is learned."""
+"""Parts that are not learned: the template itself, painted as the videos show it."""
 
 import time
 from collections.abc import Mapping
@@ -11,7 +11,6 @@ from numpy import ndarray as Array
 from scipy.spatial import KDTree
 
 from avatar.light import CaptureLight
-from avatar.skeleton import PARTS
 from capture.folder import Capture, CaptureSubject
 from capture.light.seen_colors import seen_colors
 from capture.template.surface import visible_faces
@@ -29,16 +28,21 @@ REACH = 0.06
 def seen_parts(
     capture: Capture, preset: Preset, lights: Mapping[str, CaptureLight], folder: Path, seed: int
 ) -> dict[str, dict]:
-    """Write PART.pt of the painted parts into `folder`; what run.json says of each. `lights` are the videos'."""
+    """Write PART.pt of the parts that the preset does not learn into `folder`; what run.json says of each. `lights` are
+    the videos'."""
+    painted = [index for index in range(len(preset.parts)) if index not in preset.learned]
+    if not painted:
+        return {}
     began = time.monotonic()
     # what stays untrained, and shows nothing, is the same in every run
     torch.manual_seed(seed)
     colors = seen_colors(capture, lights, seed)
     visible, facts = visible_faces(capture.subject), {}
     made = on_all_cores(
-        lambda index: template_distance(capture.subject, index, preset.parts[index], visible)[0], range(len(PARTS))
+        lambda index: template_distance(capture.subject, index, preset.parts[index], visible)[0], painted
     )
-    for index, (name, settings, template) in enumerate(zip(preset.names, preset.parts, made, strict=True)):
+    for index, template in zip(painted, made):
+        name, settings = preset.names[index], preset.parts[index]
         frames = len(capture.videos[name].images)
         field = run_folder.build_field(capture.subject, index, settings, template, frames)
         paint(field, capture.subject, colors)

@@ -20,7 +20,7 @@ from avatar.similarity import Registration, similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.fit.align import ROUNDS
 from capture.fit.refine import RefineJob, copy_refined, may_refine, refine_capture, with_learned, with_refined
-from capture.folder import Capture, CaptureSubject, read_capture, write_subject
+from capture.folder import Capture, CaptureSubject, read_capture, read_subject, write_subject
 from capture.light.fit import fit_capture_light, light_line
 from capture.template.clothes import with_clothes
 from capture.template.hull import with_hair
@@ -97,10 +97,10 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
         if training is not None:
             training = prepared(training)
             at = training.session.partial
-            if training.preset.learns:
-                facts = train_parts(training, [part_job(training, at, index) for index in HEAVIEST_FIRST])
-            else:
-                facts = seen_parts(training.capture, training.preset, training.lights, at, options.seed)
+            learned = [index for index in HEAVIEST_FIRST if index in training.preset.learned]
+            facts = seen_parts(training.capture, training.preset, training.lights, at, options.seed)
+            if learned:
+                facts |= train_parts(training, [part_job(training, at, index) for index in learned])
             finish(training, facts)
     return options.out
 
@@ -116,6 +116,7 @@ def begin(
     ranks, device = join_ranks(options.device)
     say: Callable[[str], None] = partial(print, flush=True) if ranks.writes else lambda text: None
     capture, session = read_capture(options.capture), None
+    _check_like(options, preset, capture)
     if ranks.writes:
         held.enter_context(exclusive_lock(options.out))
         settings = _what_decides(options, preset, capture) | (decides or {})
@@ -125,8 +126,8 @@ def begin(
         return None
     began = clocks()
     head = landmark_placement(_register_landmarks(capture, say))
-    if preset.learns:
-        names = ", ".join(preset.names)
+    if preset.learned:
+        names = ", ".join(preset.names[index] for index in preset.learned)
         say(f"stage 1: {names} by volume rendering of signed distance (Eq. 10-12), preset {preset.name}")
         say(f"logs and checkpoints: {session.partial}")
     else:
@@ -140,7 +141,37 @@ def prepared(training: Training) -> Training:
         refined = _refine(training)
     # frames that were left out count nowhere from here on
     capture = with_refined(training.capture, training.session.partial)
-    return _with_light(_with_own_template(_with_consistent_head(replace(training, capture=capture, refined=refined))))
+    training = _with_consistent_head(replace(training, capture=capture, refined=refined))
+    if training.options.like is not None:
+        return _prepared_like(training, training.options.like)
+    return _with_light(_with_own_template(training))
+
+
+def _check_like(options: TrainOptions, preset: Preset, capture: Capture) -> None:
+    """Whether the run that --like names prepared what this training would.
+
+    Raises:
+        AssetError: it did not, or one of the two refines poses first.
+    """
+    if options.like is None:
+        return
+    facts, numbers = run_folder.read_facts(options.like), settings_json(preset)
+    names = ("hair", "clothes", "light")
+    here = {name: numbers[name] for name in names} | {"seed": options.seed, "capture": capture_digest(capture.path)}
+    there = {name: facts["settings"].get(name) for name in names}
+    there |= {"seed": facts["seed"], "capture": facts["capture_at"]["digest"]}
+    other = [name for name in here if here[name] != there[name]]
+    if other:
+        raise AssetError(f"--like {options.like}: expected the same {', '.join(here)} as here, its {other[0]} differs")
+    if facts["refined"] or may_refine(capture, options.refine_poses):
+        raise AssetError(f"--like {options.like}: poses are refined before hair and clothes are carved; leave it out")
+
+
+def _prepared_like(training: Training, run: Path) -> Training:
+    """The training with the template and the light of another run of the same capture."""
+    capture = _with_template(training, read_subject(run / "subject.npz", training.capture.subject.name))
+    training.say(f"hair, clothes and light as {run} found them")
+    return replace(training, capture=capture, lights=run_folder.lights_of(run, run_folder.read_facts(run)))
 
 
 def _what_decides(options: TrainOptions, preset: Preset, capture: Capture) -> dict[str, Any]:
@@ -168,20 +199,19 @@ def finish(training: Training, facts: dict[str, dict]) -> None:
     fields = read_fields(training, partial)
     torch.set_num_threads(os.cpu_count() or 1)
     progress = Progress("body, stage 2", preset.union.iterations)
-    meets = preset.learns and len(fields) > 1
     with whole_folder(out) as folder:
         place = head.canonical_from_head
         lights = {part: video_light(training.capture, part, light, place) for part, light in training.lights.items()}
         parts = TrainedParts(
-            fields=fields, rays=read_rays(partial / "body.rays", torch.device(device)) if meets else None, head=head,
-            seed=training.options.seed, seconds=seconds, lights=lights,
+            fields=fields, rays=read_rays(partial / "body.rays", torch.device(device)) if preset.meets else None,
+            head=head, seed=training.options.seed, seconds=seconds, lights=lights,
         )  # fmt: skip
         person = compose(
             capture, parts, preset, training.say, device=device,
             checkpoints=Checkpoints(path=partial / "union.ckpt", resume=training.session.resumed),
             watch=Watch(report=lambda step, report: progress.update(step, step_note(report))),
         )  # fmt: skip
-        if meets:
+        if preset.meets:
             shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
         for name, field in zip(preset.names, fields):
             run_folder.write_part(folder / f"{name}.pt", field)
@@ -262,7 +292,7 @@ def _with_own_template(training: Training) -> Training:
     """The template with a rigid head and with standing hair and loose clothes joined to it, written for workers and
     run folder.
     """
-    capture, partial, hair = training.capture, training.session.partial, training.preset.hair
+    capture, hair = training.capture, training.preset.hair
     with timed(training.seconds, "hair carved"):
         subject = with_hair(
             with_rigid_head(capture.subject), capture, training.head.canonical_from_head,
@@ -279,11 +309,16 @@ def _with_own_template(training: Training) -> Training:
             added = len(dressed.rest) - len(subject.rest)
             training.say(f"clothes stand off the template: {added} vertices carved from the masks join it")
         subject = dressed
+    return replace(training, capture=_with_template(training, subject))
+
+
+def _with_template(training: Training, subject: CaptureSubject) -> Capture:
+    """The capture with the training's own template, which is written for workers and run folder."""
     if training.ranks.writes:
-        write_subject(partial / "subject.npz", subject)
+        write_subject(training.session.partial / "subject.npz", subject)
     # no rank reads it before it is written
     training.ranks.broadcast(None)
-    return replace(training, capture=replace(capture, subject=subject))
+    return replace(training.capture, subject=subject)
 
 
 def _dressed(subject: CaptureSubject, capture: Capture, say: Callable[[str], None]) -> CaptureSubject:

@@ -21,13 +21,14 @@ BAND = Band(0.03, 0.02, 0.005)
 RADIUS = 0.1
 
 
-@pytest.fixture(scope="module", params=["tree", "look-up"])
+@pytest.fixture(scope="module", params=["tree", "look-up", "both"])
 def ball(request):
-    """Points 3 mm apart on a sphere, with normals and spacing; the nearest is sought, or looked up."""
+    """Points 3 mm apart on a sphere, with normals and spacing; the nearest is sought, looked up, or either."""
     i = np.arange(12000) + 0.5
     polar, turn = np.arccos(1 - 2 * i / len(i)), np.pi * (1 + 5**0.5) * i
     d = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], 1)
-    still = StillSamples.of(RADIUS * d, 0.003) if request.param == "look-up" else None
+    about = {"tree": d[:, 0] > 2, "look-up": d[:, 0] > -2, "both": (d[:, 0] > 0) & (d[:, 1] > 0)}[request.param]
+    still = StillSamples.of(RADIUS * d, about, 0.003) if about.any() else None
     return Samples(RADIUS * d, d, np.full(len(d), 0.004), still)
 
 
@@ -178,6 +179,7 @@ def test_masks_without_a_person_are_refused_by_the_video(turning, cloud):
         _rays(nobody, cloud)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0, 128, 255])
 def test_constant_pictures_train_to_finite_numbers(turning, cloud, level):
     flat = with_video(turning, "hand_left", images=np.full_like(turning.videos["hand_left"].images, level))

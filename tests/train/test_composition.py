@@ -14,6 +14,7 @@ from capture.folder import read_capture
 from capture.light.seen_colors import seen_colors
 from capture.template.parts import Box, Part
 from capture.template.surface import SurfaceCloud
+from command.errors import AssetError
 from geometry.harmonic import fill_reached
 from train.command import TrainOptions
 from train.deform import canonical_directions, inverse_transforms
@@ -146,6 +147,19 @@ def test_a_preview_is_a_run_like_any_other_whose_surface_is_the_template(painted
     body = subject.vertices[subject.part == 0]
     distance = painted.field.distance(torch.as_tensor(body, dtype=torch.float32))
     assert distance.abs().median() < 0.002
+
+
+@pytest.mark.slow
+def test_a_run_like_another_has_its_template_and_light_and_other_numbers_are_refused(painted, tiny_capture, tmp_path):
+    like = ["--like", str(painted.path), "--refine-poses", "off"]
+    again = read_run(tiny_training(tiny_capture, tmp_path / "again", *like, preset=SMALL))
+    assert again.lights == painted.lights and "hair carved" not in again.provenance["seconds"]
+    for name in ("vertices", "faces", "hair"):
+        np.testing.assert_array_equal(getattr(again.subject, name), getattr(painted.subject, name))
+    with pytest.raises(AssetError, match=r"expected the same .* as here, its seed differs"):
+        tiny_training(tiny_capture, tmp_path / "other", *like, "--seed", "7", preset=SMALL)
+    with pytest.raises(AssetError, match="poses are refined before"):
+        tiny_training(tiny_capture, tmp_path / "other", *like[:2], "--refine-poses", "on", preset=SMALL)
 
 
 @pytest.mark.slow

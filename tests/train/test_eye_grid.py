@@ -77,6 +77,7 @@ def first_crossing(eyes, points, direction, far=0.03):
     return steps[(along <= 0).argmax(1)]
 
 
+@pytest.mark.slow
 def test_the_eyeball_is_seen_between_the_lids_and_an_iris_where_it_was_found(subject, eyes, spheres, closed):
     points = eye_openings(subject)
     # straight in front of the balls' middles

@@ -299,6 +299,7 @@ def test_normals_are_the_derivative_of_the_distance(hand, name):
         torch.testing.assert_close(gradient[:, axis], slope, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_rendering_by_density_teaches_displacement_and_width_and_the_fit_finds_the_hand(hand):
     preset, part, field, rays = hand("paper")
     loss, _ = losses(field, rays, Batch(torch.arange(64), torch.rand(64), 0.0), part, preset)

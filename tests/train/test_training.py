@@ -261,6 +261,7 @@ class Hollow(FusedField):
         return torch.maximum(skin, torch.maximum(-0.025 - skin, hole))
 
 
+@pytest.mark.slow
 def test_the_surface_is_the_skin_although_the_field_is_hollow_and_a_pinhole_leads_in(capture):
     field = Hollow(capture.subject)
     parts = part_boxes(capture.subject)
