@@ -1,7 +1,7 @@
 """Run folder -> avatar file, in order: surface, decimation, atlas, skin, cone, color, network, measurement."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -47,6 +47,7 @@ from bake.level import (
 from bake.loose import looseness
 from bake.network import AMPLITUDE, Distilled, distil, write_onnx
 from bake.options import BakeOptions
+from bake.outlines import worse_parts
 from bake.promises import Facts, missed_promises
 from bake.run_capture import RunVideos, run_videos
 from bake.texture.pixel_reads import view_change
@@ -101,7 +102,10 @@ def bake_run(
     clock = _Clock(report)
     joints = run.subject.joints
     origin = run_surface(run.surface)
-    field, layers, extraction, given_up = extracted(run, origin, options, clock)
+    worse, outlines = ({}, {}) if videos is None else worse_parts(run, videos)
+    for part, why in worse.items():
+        clock.report(f"{part}: {why}: the template stays")
+    field, layers, extraction, given_up = extracted(run, origin, options, clock, worse)
     baked = bake_levels(extraction, layers, origin, field, joints, options, clock)
     levels, distilled = [loosened(level, run.subject) for level in baked.levels], baked.distilled
     facts: Facts = {
@@ -115,6 +119,7 @@ def bake_run(
             "island_area_share": rounded(extraction.island_area),
         },
         "template_kept": given_up,
+        "outlines_off": outlines,
         "seen_share": rounded(float((origin.cone.seen > 0.5).mean())),
         "texture_from": options.texture_from,
         "distilled_db": {k: rounded(v) for k, v in distilled.decibels.items()},
@@ -158,14 +163,20 @@ class Extracted(NamedTuple):
     given_up: dict[str, str]
 
 
-def extracted(run: BakeSource, origin: SourceSurface, options: BakeOptions, clock: "_Clock") -> Extracted:
-    """The layers of a run and their zero sets as one mesh. A part that breaks off goes back to its template.
+def extracted(
+    run: BakeSource, origin: SourceSurface, options: BakeOptions, clock: "_Clock",
+    worse: Mapping[str, str] | None = None,
+) -> Extracted:  # fmt: skip
+    """The layers of a run and their zero sets as one mesh. Parts that are worse than their template, or break off, go
+    back to it.
 
     Raises:
         AssetError: there is no surface, or a part of it breaks off that learned nothing.
     """
     steps = GridSteps(options.body_step, options.fine_step)
-    field, given_up = run.field, {}
+    field, given_up = run.field, dict(worse or {})
+    if worse and run.with_templates is not None:
+        field = run.with_templates(given_up)
     while True:
         asked = numpy_field(field)
         layers = layers_of(asked, run.subject, origin)

@@ -162,7 +162,8 @@ def solve_texture(
         facts[name]["rms_after"] = rounded(255 * _rms(left, weight_roots(own.matrix) / sure))
     seen = found.seen_share()[:, None]
     if videos.estimated:
-        seen[strange_on_hair(surface, solved, seen[:, 0] == 1)] = 0
+        hangs = np.full(len(seen), True) if videos.chin is None else surface.points[:, 1] < videos.chin
+        seen[strange_on_hair(surface, solved, seen[:, 0] == 1) & hangs] = 0
     rest = np.flatnonzero(seen < 1)
     fill = filled_colors(surface, solved, seen[:, 0] == 1)
     solved[rest] = seen[rest] * solved[rest] + (1 - seen[rest]) * fill
@@ -355,8 +356,9 @@ def limb_of(share: Float[Array, "corners 52"]) -> Integer[Array, "corners"]:
 def strange_on_hair(
     surface: TexelSurface, color: Float[Array, "texels 3"], seen: Bool[Array, "texels"]
 ) -> Bool[Array, "texels"]:
-    """Texels of hanging hair that show something else: what lies behind a lock that ends elsewhere than estimated; and
-    within MIXED of these what is a mix of the two."""
+    """Texels of hair that show something else: what lies behind a lock that ends elsewhere than estimated; and within
+    MIXED of these what is a mix of the two. Above the chin it may stay: hair that reaches too far into a forehead shows
+    skin, and another lock's grey would end in a saw on it."""
     found = np.zeros(len(color), bool)
     for piece in np.flatnonzero(np.arange(surface.piece.max() + 1) != np.bincount(surface.piece).argmax()):
         own = surface.piece == piece

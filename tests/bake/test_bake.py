@@ -82,6 +82,7 @@ def test_sheen_ships_a_view_mode_that_is_nearer_to_the_cone_field(sheen):
     assert (folder / "sheen.onnx").exists() == (avatar.network is not None)
 
 
+@pytest.mark.slow
 def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small, monkeypatch):
     # which would hold the hand's middle
     monkeypatch.setattr("bake.layers.solid_inside", lambda distance, subject: distance)
@@ -141,6 +142,7 @@ def test_textures_from_the_videos_promise_to_be_nearer_to_them_than_the_field_is
     assert line.startswith("head: its video differs by 9.5") and "--texture-from field" in line
 
 
+@pytest.mark.slow
 def test_what_was_missed_is_said_last_and_stands_in_the_file(run, small, tmp_path):
     lines = []
     avatar = bake_run(run, tmp_path / "a.glb", small, lines.append)

@@ -100,6 +100,7 @@ def test_what_is_only_seen_at_a_slant_counts_by_the_frame_that_sees_it_best(rast
     assert np.concatenate(share).min() > 0.9 and np.concatenate(share).max() > 4
 
 
+@pytest.mark.slow
 def test_a_collar_gets_the_texels_of_a_head(run, small, tmp_path):
     """The capsules with their body hung on the neck."""
     surface = run.surface
@@ -123,7 +124,7 @@ class Begun(Exception):
 
 @pytest.mark.parametrize("trunk", [False, True])
 def test_the_videos_say_whether_a_collar_is_as_fine_as_a_head(run, small, videos, tmp_path, monkeypatch, trunk):
-    def begun(run, origin, options, clock):
+    def begun(run, origin, options, clock, worse):
         raise Begun(options.collar_density)
 
     monkeypatch.setattr("bake.bake.extracted", begun)

@@ -210,6 +210,7 @@ def directions_off(directions, axis):
     return np.degrees(np.arccos(np.clip(directions @ axis, -1, 1)))
 
 
+@pytest.mark.slow
 def test_an_eye_that_is_blurred_gets_back_what_the_blur_took_and_a_sharp_one_stays():
     def pictures(blur):
         """Both eyes' pictures of a blurred sheet from the pupil to the white, without a drawing and with it."""
@@ -241,6 +242,7 @@ def test_a_drawing_adds_nothing_to_what_shines_brighter_than_its_white():
         assert bright.any() and drawing.added[bright].max() <= 0
 
 
+@pytest.mark.slow
 def test_a_face_has_the_eyes_that_were_drawn_in_its_strip(monkeypatch):
     image = gaussian_filter(SHEET.level.base_color.astype(np.float64), (3.5, 3.5, 0))
     blurred = replace(SHEET.level, base_color=bytes_of(image / 255))
@@ -345,6 +347,7 @@ def test_an_atlas_too_small_for_the_pictures_gets_no_face():
         with_face([replace(SHEET.level, base_color=SHEET.level.base_color[::4, ::4])], SHEET.person)
 
 
+@pytest.mark.slow
 def test_a_face_goes_as_far_as_its_film_says_and_its_mouth_has_the_films_colors():
     gains = np.linspace(0.6, 1.3, 10)
     skin = cheek_color(SHEET.person, SHEET.level)

@@ -34,6 +34,7 @@ def test_a_field_s_details_are_magnified_before_head_and_hands():
     assert magnifiers((EYE,), replace(options, eye_scale=3.0))[0].scale == 3.0
 
 
+@pytest.mark.slow
 def test_magnified_charts_have_finer_texels_at_the_eye_alone():
     mesh = ball_mesh(step=0.006)
     part = np.zeros(len(mesh.faces), np.int64)

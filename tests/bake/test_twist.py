@@ -120,6 +120,7 @@ def test_three_js_keeps_a_forearm_as_thick_as_ours(twisted, tmp_path):
     assert abs(areas[1] / areas[0] - 1) < 0.05
 
 
+@pytest.mark.slow
 def test_the_bake_writes_twist_joints_where_it_is_asked_to(run, small, tmp_path):
     quick = replace(small, faces=600, texture=64, body_step=0.02, fine_step=0.01, steps=2, samples=500, image=32)
     bake_run(run, tmp_path / "twist.glb", replace(quick, twist=True), lambda line: None)
