@@ -2,11 +2,11 @@
 
     python -m experiments.demo out/demo
 
-It is the road of who films themselves: `selfscan make` with 15 minutes. A first avatar is there after a few of them,
-out/demo/avatar.glb; then four fields are trained and baked. The person shines a little (`synth --sheen`): what is seen
-depends on from where, the fields' avatar gets a view network, and the film, whose camera goes round, shows it. Stages
-run in order, each says its name, its share of the time and, at its end, its seconds. A stage whose output is complete
-is kept, so an interrupted demo goes on where it stopped; once a stage has run anew, all after it run anew as well.
+It is the road of who films themselves: `selfscan make` as it comes. A first avatar is there after a few minutes,
+out/demo/avatar.glb; then the head's field is trained and baked over it (`--minutes 15` trains all four). The person
+shines a little (`synth --sheen`), and the film's camera goes round. Stages run in order, each says its name, its share
+of the time and, at its end, its seconds. A stage whose output is complete is kept, so an interrupted demo goes on where
+it stopped; once a stage has run anew, all after it run anew as well.
 """
 
 import argparse
@@ -54,25 +54,21 @@ def film(avatar: Path, scene: Path, out: Path) -> Callable[[], int]:
     return run
 
 
-def fields_avatar(out: Path) -> Path:
-    """Where `make` leaves the avatar of the trained fields, whether it is the better one or not."""
-    return out / "avatar.making" / "fields_15.glb"
-
-
 def stages(out: Path) -> list[Stage]:
     """The commands of the demo, as a user would type them."""
-    films, avatar, fields, report = out / "films", out / "avatar.glb", fields_avatar(out), out / "report"
+    films, avatar, report = out / "films", out / "avatar.glb", out / "report"
+    first, head = (avatar.with_suffix(".making") / f"{name}.glb" for name in ("first", "head"))
     sheet, selfscan = out / "contact.png", partial(command, "selfscan")
     how = ["--raw", "--keypoints", "--size", str(SIZE), "--seconds", str(TURN), "--sheen", str(SHEEN)]
     known = ["--sex", "male", "--stature", str(STATURE)]
-    beside = [f"builtin={path}" for path in (fields.with_name("first.glb"), fields)]
+    beside = [f"builtin={path}" for path in (first, head)]
     return [
         Stage("film four raw videos", films / "truth" / "raw.json", selfscan("synth", "builtin", films, *how), 1.2),
-        Stage("make an avatar of them", fields, selfscan("make", films, "-o", avatar, *known, "--minutes", "15"), 9.0),
-        Stage("film", out / "avatar.mp4", film(fields, out / "film.toml", out / "avatar.mp4"), 0.2),
+        Stage("make an avatar of them", head, selfscan("make", films, "-o", avatar, *known), 5.5),
+        Stage("film", out / "avatar.mp4", film(avatar, out / "film.toml", out / "avatar.mp4"), 0.2),
         Stage("contact sheet", sheet, command("experiments.beside_sheet", sheet, *beside, "--sheen", str(SHEEN)), 0.3),
         Stage("accuracy against time", report / "bench.json",
-              selfscan("bench", fields, "-o", report, "--frames", "2", "--rounds", "20"), 0.7),
+              selfscan("bench", avatar, "-o", report, "--frames", "2", "--rounds", "20"), 0.7),
     ]  # fmt: skip
 
 
@@ -80,18 +76,19 @@ def summary(out: Path, seconds: dict[str, float]) -> list[str]:
     """How long the demo took, which promises its avatar missed, what to look at, in order, and what to type next."""
     lines = [f"{name:26}{taken:6.0f} s" for name, taken in seconds.items()]
     lines += [f"{'together':26}{sum(seconds.values()):6.0f} s"]
-    missed = read_avatar(fields_avatar(out)).provenance.get("baked", {}).get("missed", [])
+    missed = read_avatar(out / "avatar.glb").provenance.get("baked", {}).get("missed", [])
     lines += [f"missed: {line}" for line in missed]
     return [
         *lines,
         "",
         "look at, in this order:",
-        f"  1. {out / 'avatar.mp4'}: the avatar of the trained fields, filmed (its scene: {out / 'film.toml'})",
-        f"  2. {out / 'contact.png'}: the true person beside the first avatar, and beside that of the fields",
+        f"  1. {out / 'avatar.mp4'}: the avatar, filmed (its scene: {out / 'film.toml'})",
+        f"  2. {out / 'contact.png'}: the true person beside the first avatar, and beside that with a learned head",
         f"  3. {out / 'report' / 'bench.html'}: how exact and how fast each way to draw it is",
         "",
-        "type next, to turn what `make` found to be nearer to the videos:",
+        "type next, to turn it, and to train the fields of body, head and hands too:",
         f"  selfscan play {out / 'avatar.glb'}",
+        f"  selfscan make {out / 'films'} -o {out / 'avatar.glb'} --sex male --stature {STATURE} --minutes 15",
     ]
 
 

@@ -68,7 +68,7 @@ class Filming:
 class Options(Filming):
     """What decides the numbers; a folder holds those of one of them."""
 
-    minutes: Annotated[Literal["4", "6"], "as `make` takes them: of no trained field"] = "4"
+    minutes: Annotated[Literal["4", "6"], "as `make` takes them: 4, nothing learned; 6, the head"] = "4"
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def stages(options: Options, name: str, out: Path) -> list[Stage]:
         known = ["--sex", sex, "--stature", f"{stature_of(person):.3f}", "--minutes", str(options.minutes)]
         return command("selfscan", "make", raw, "-o", avatar, *known)()
 
-    run = avatar.with_suffix(".making") / "first"
+    run = avatar.with_suffix(".making") / ("first" if options.minutes == "4" else "head")
     film = command("selfscan", "synth", person, raw, *options.words)
     judge = command("selfscan", "eval", avatar, raw, "--run", run, "--json", quality)
     return [

@@ -17,7 +17,8 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
-from avatar.skeleton import JOINTS
+from avatar.gltf.avatar_file import read_avatar
+from avatar.skeleton import JOINTS, PARTS
 from bench.ladder.machine import commit, cpu_name
 from bench.report.writer import markdown_table, number
 from command.command_line import Help, Option, parse
@@ -31,14 +32,13 @@ from experiments.first_avatars import FILMING, JUDGING, Filming, cell
 from experiments.program import distinct, end_with, note, written
 from files.input_file import read_json_object
 from files.whole import whole_file, write_json, write_text
-from selfscan.make import off_the_films
 
 # folder and heading of what `make` is given
 FILMS = {"four": "four videos", "body": "the body's video alone"}
 # file that `make` leaves, its run folder, heading; in the order in which they come
 AVATARS = (
     ("first", "first", "first avatar"),
-    ("better", "first", "finer textures"),
+    ("head", "head", "learned head"),
     ("fields_15", "fields_15", "fields, short training"),
     ("fields_60", "fields_60", "fields, whole training"),
 )
@@ -102,7 +102,7 @@ class Made(NamedTuple):
 
 
 def avatars(folder: Path) -> list[Made]:
-    """What `make` has left of a person's four videos and of the body's alone; of small films, no finer textures."""
+    """What `make` has left of a person's four videos and of the body's alone."""
     every = [
         Made(films, heading, folder / films / "me.making" / f"{stem}.glb", folder / films / "me.making" / run)
         for films in FILMS
@@ -129,6 +129,13 @@ def make_stage(person: str, sex: str, folder: Path, films: str, minutes: str) ->
         return code
 
     return Stage(f"make of {FILMS[films]}", clock, run, int(minutes) + 1.0)
+
+
+def off_the_films(avatar: Path) -> float:
+    """How far what an avatar shows lies from the films that its textures were solved against: root mean square of
+    255, the mean over the films."""
+    videos = read_avatar(avatar).provenance["baked"]["videos"]
+    return sum(videos[part]["rms_after"] for part in PARTS) / len(PARTS)
 
 
 def judged(made: Made) -> dict[str, Any]:
@@ -169,7 +176,7 @@ def page(found: dict[str, list[dict[str, Any]]], options: Options) -> str:
         "Written by `python -m experiments.minutes`. Synthetic videos of a phone in a room, a simulated detector's",
         "keypoints, height, sex go in (*from pixels*); `selfscan make` leaves avatars, each is judged. *Ready after*:",
         "from the command's start, films to file, poses included; before the first there is nothing to see. *Off its",
-        "films*: root mean square; fields take the template's place where theirs is 2 % smaller. Total, head and hands",
+        "films*: root mean square of the textures solved against them. Total, head and hands",
         f"stand in this order. {options.size} px, a turn of {options.seconds:g} s in each video, seed {options.seed};",
         f"every {options.truth_every}th held-out picture. Made on {places}; judged at {commits}.",
         "",

@@ -16,8 +16,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from avatar.gltf.avatar_file import read_avatar
-from avatar.skeleton import PARTS
 from capture.read.command import FilmOptions
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
@@ -26,19 +24,18 @@ from command.stages import Stage, command, run_stages
 from files.input_file import read_json_object
 from files.whole import check_file, is_free, whole_file, write_json
 
-# steps a part of the short training; the long one has the preset's own
+# steps a part of the short training; those of a head alone and of a long training are the presets' own
 SHORT = 250
 # texels a side of the first avatar's atlas, and from how many millions of pixels a picture films show more than these
 FIRST, FINER = 1024, 0.5
-# share by which what trained fields show lies nearer to the films before they replace the template
-NEARER = 0.02
 
 ABOUT = Help(
     "selfscan make",
     """Make an avatar of films of one person, four or the body's alone: read them, fit the person, and write a first
-avatar, textures solved from the films, then a finer one over it. Asked for more minutes, train the fields of the paper
-too; what they give takes the place where it shows the films better. `selfscan play --follow` shows the first while the
-second is made, and then the second. Stopped, the same command goes on where it was.""",
+avatar, the fitted template with textures solved from the films, then a better one over it whose head was learned, hair
+and all. Asked for more minutes, train all fields of the paper; a part whose template meets the films' outlines better
+keeps it. `selfscan play --follow` shows the first while the second is made, and then the second. Stopped, the same
+command goes on where it was.""",
     """example:
   selfscan make me -o me.glb --stature 1.78       me/ has body.mp4, head.mp4, left.mp4, right.mp4 and keypoints/
   selfscan make me -o me.glb --minutes 4          the first avatar alone
@@ -59,9 +56,9 @@ class MakeCommand:
         "film them now with a webcam, the first one or the one of this name or number, into NAME.films; a window shows "
         "where to stand and what to do, and films that are there are kept"] = None
     minutes: Annotated[Literal["4", "6", "15", "60"],
-        f"of two quiet cores: 4, the fitted template in the films' colors, {FIRST} texels a side; 6, finer textures, "
-        f"where pictures of the films have more than {FINER} million pixels; "
-        f"15, fields of {SHORT} steps a part as well; 60, the whole training"] = "6"
+        f"of two quiet cores: 4, the fitted template in the films' colors, {FIRST} texels a side; 6, a learned head, "
+        f"and finer textures where pictures of the films have more than {FINER} million pixels; "
+        f"15, fields of all parts, {SHORT} steps each; 60, the whole training"] = "6"
 
     def __post_init__(self):
         if self.out.suffix.lower() != ".glb":
@@ -146,23 +143,6 @@ def published(product: Path, out: Path, began: float) -> int:
     return 0
 
 
-def off_the_films(avatar: Path) -> float:
-    """How far what an avatar shows lies from the films that its textures were solved against: root mean square of
-    255, the mean over the films."""
-    videos = read_avatar(avatar).provenance["baked"]["videos"]
-    return sum(videos[part]["rms_after"] for part in PARTS) / len(PARTS)
-
-
-def worth_it(trained: Path, template: Path) -> bool:
-    """Whether the trained fields' avatar shows the films better than the fitted template's; said where it does not."""
-    learned, fitted = off_the_films(trained), off_the_films(template)
-    if learned < (1 - NEARER) * fitted:
-        return True
-    print(f"the template stays: the fields show the films no better ({learned:.2f} of 255 off, the template "
-          f"{fitted:.2f}); their avatar is {trained}", flush=True)  # fmt: skip
-    return False
-
-
 def show_page(address: str) -> None:
     """Open a page in the user's browser, and say its address where there may be none."""
     print(f"  {address}", flush=True)
@@ -208,20 +188,19 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
     large = megapixels(wanted.films)
     work, began, clicked = wanted.work, time.monotonic(), clicking(wanted)
     capture, first, run_folder = work / "capture", work / "first", work / f"fields_{wanted.minutes}"
-    finer = large > FINER
-    template, texels = work / ("better.glb" if finer else "first.glb"), () if finer else ("--texture", FIRST)
+    texels = () if large > FINER else ("--texture", FIRST)
 
     def bake(name: str, source: Path, product: Path, minutes: float, *words: object) -> Stage:
         """Bake a run and put the avatar where the user wants it."""
         baked = command("selfscan", "bake", source, "-o", product, *map(str, words))
+        return Stage(name, product, lambda: baked() or published(product, wanted.out, began), minutes)
 
-        def run() -> int:
-            code = baked()
-            if code or (source == run_folder and not worth_it(product, template)):
-                return code
-            return published(product, wanted.out, began)
-
-        return Stage(name, product, run, minutes)
+    def train(name: str, run: Path, minutes: float, *words: object) -> Stage:
+        """Train a run; what the first one found of hair, clothes and light is taken over."""
+        resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
+        like = [] if run == first else ["--like", str(first)]
+        trained = command("selfscan", "train", capture, "-o", run, *like, *map(str, words), *resume)
+        return Stage(name, run / "run.json", trained, minutes)
 
     films, points = wanted.films, []
     if clicked is not None:
@@ -230,17 +209,15 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
     stages = [
         *([clicked[1]] if clicked else []),
         Stage("read the films and fit the person", capture / "capture.json", command(*read), 0.9 + 1.7 * large),
-        Stage("the template in the films' colors", first / "run.json",
-              command("selfscan", "train", capture, "-o", first, "--preset", "preview"), 1.2),
+        train("the template in the films' colors", first, 1.2, "--preset", "preview"),
         bake("first avatar", first, work / "first.glb", 0.8 + 1.6 * large, "--texture", FIRST),
-    ]  # fmt: skip
-    if wanted.minutes != "4" and finer:
-        stages.append(bake("finer textures", first, template, 1.6 + 2.5 * large))
+    ]
+    if wanted.minutes in ("6", "60"):
+        stages.append(train("the head's field", work / "head", 1.0, "--preset", "head"))
+        stages.append(bake("avatar with a learned head", work / "head", work / "head.glb", 1.0 + 3.0 * large, *texels))
     if wanted.minutes in ("15", "60"):
-        resume = ["--resume"] if run_folder.with_name(run_folder.name + ".partial").exists() else []
         short = ["--iterations", SHORT] if wanted.minutes == "15" else []
-        train = command("selfscan", "train", capture, "-o", run_folder, *map(str, short), *resume)
-        stages.append(Stage("fields of body, head and hands", run_folder / "run.json", train, 3.5 if short else 6.0))
+        stages.append(train("fields of body, head and hands", run_folder, 3.5 if short else 6.0, *short))
         stages.append(bake("avatar of the fields", run_folder, run_folder.with_suffix(".glb"), 2.5, *texels))
     return stages
 
@@ -256,13 +233,10 @@ def main(argv: Sequence[str]) -> int:
         wanted = film_yourself(wanted)
     claim(wanted)
     stages = make_stages(wanted)
-    if wanted.minutes == "6" and stages[-1].name == "first avatar":
-        print(f"the films show no more than the {FIRST} texels a side of the first avatar: finer ones are left out")
     ran = run_stages(stages)
     made = [stage.product for stage in stages if stage.product.suffix == ".glb"]
     # a kill may come between an avatar and its taking the place of the one before
     before = [] if stages[-1].name in ran else made[:-1]
     if not wanted.out.exists() or any(filecmp.cmp(wanted.out, avatar, shallow=False) for avatar in before):
-        kept = made[:-1] if wanted.minutes in ("15", "60") and not worth_it(made[-1], made[-2]) else made
-        published(kept[-1], wanted.out, time.monotonic())
+        published(made[-1], wanted.out, time.monotonic())
     return 0

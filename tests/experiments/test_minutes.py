@@ -38,12 +38,12 @@ def made(monkeypatch, tmp_path) -> tuple[list[list[str]], Path]:
                 return 1
             work = Path(words[4]).with_suffix(".making")
             work.mkdir(exist_ok=True)
-            names = ["first"] if words[-1] == "4" else ["first", "better", "fields_15"]
+            names = ["first"] if words[-1] == "4" else ["first", "head", "fields_15"]
             for name in names:
                 (work / f"{name}.glb").touch()
                 os.utime(work / f"{name}.glb", (time.time() + 65,) * 2)
         else:
-            value = {"first": 20.0, "better": 21.0, "fields_15": 22.0}[Path(words[2]).stem]
+            value = {"first": 20.0, "head": 21.0, "fields_15": 22.0}[Path(words[2]).stem]
             Path(words[-1]).write_text(json.dumps(result(value + 4 * ("He" in words[2]))))
         return 0
 
@@ -65,12 +65,12 @@ def test_everybody_is_filmed_then_made_then_judged_and_medians_lead(made):
     assert [Path(call[2]).name for call in makes] == ["raw", "body.mp4"] * 2
     assert [call[-1] for call in makes] == ["15", "4"] * 2
     runs = {call[2]: call[call.index("--run") + 1] for call in calls if call[1] == "eval"}
-    assert runs[str(out / "She/four/me.making/better.glb")] == str(out / "She/four/me.making/first")
+    assert runs[str(out / "She/four/me.making/head.glb")] == str(out / "She/four/me.making/head")
     lines = (out / "README.md").read_text().splitlines()
     at = lines.index("## Median of 2")
     rows = [line for line in lines[at : at + 10] if line.startswith(("| four", "| the body"))]
     assert [row.split(" | ")[0] for row in rows] == [
-        "| four videos: first avatar", "| four videos: finer textures", "| four videos: fields, short training",
+        "| four videos: first avatar", "| four videos: learned head", "| four videos: fields, short training",
         "| the body's video alone: first avatar",
     ]  # fmt: skip
     assert (
