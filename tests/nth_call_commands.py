@@ -151,9 +151,9 @@ COMMANDS = {
     "a file": called("keep_file", "a.bin", []),
     "a folder": called("keep_folder", "frames", []),
     "pose library": called("keep_pose", "poses/mine.npz", ["player.pose.library"]),
-    "play's take": called("record_take", "take.npz", ["player.live.take"]) | {"also": "shorter_take"},
 }
 SLOW = {
+    "play's take": called("record_take", "take.npz", ["player.live.take"]) | {"also": "shorter_take"},
     "a checkpoint": called("keep_checkpoint", "body.ckpt", ["torch._dynamo", "train.trainer"]),
     "export to AMASS": exported("out.npz"),
     "export to BVH": exported("out.bvh"),

@@ -152,6 +152,7 @@ print(" ".join(sys.modules))
 """
 
 
+@pytest.mark.slow
 def test_a_run_is_read_and_baked_without_what_torch_compiles_with(tiny_run):
     """Its import takes seconds, and its LLVM crashes a process that Mesa's was loaded into first."""
     out = subprocess.run([sys.executable, "-c", READ, str(tiny_run)], capture_output=True, text=True, check=True).stdout

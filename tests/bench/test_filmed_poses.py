@@ -118,6 +118,7 @@ def test_frames_that_an_import_took_are_found_in_the_truth_and_in_its_world(impo
             np.testing.assert_allclose(ours.axis_angle[joints], placement.truth.axis_angle[joints], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_perfect_avatar_in_exact_poses_has_no_distance_and_hands_are_those_of_their_own_videos(imported, measuring):
     """Fingers of the body's video are bent wrongly here; only the total holds that."""
     result = in_filmed_poses(measuring[0], filmed_poses(*imported), measuring[1])

@@ -330,6 +330,7 @@ def test_an_image_too_small_for_lpips_says_so_and_weights_that_are_none_are_refu
     refused(AssetError, r"text\.pth: expected a state dictionary", read_perceptual, [tmp_path / "text.pth"])
 
 
+@pytest.mark.slow
 def test_evaluation_gives_lpips_of_every_region_when_it_has_weights(oracle, files, monkeypatch):
     capture, avatar, _ = oracle
     result = evaluate(avatar, capture, lpips=[files / "whole.pth"])

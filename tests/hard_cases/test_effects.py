@@ -35,7 +35,9 @@ def test_cameras_inside_the_body_and_of_extreme_fields_of_view(context, render, 
             assert (image[..., 3] == 255).all() and context.gl.error == "GL_NO_ERROR"
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 50), (8192, 3), (3, 8192), (2048, 2048)])
+@pytest.mark.parametrize(
+    "size", [(1, 1), (1, 50), (8192, 3), (3, 8192), pytest.param((2048, 2048), marks=pytest.mark.slow)]
+)
 def test_targets_of_extreme_sizes(render, backgrounds, size):
     """Antialiasing changes edges, not what is seen: a sample of four may fall into the next check of the paint."""
     camera, away = orbit_camera((0, 0, 0), 0.4, 0.0, 0.0, (64, 64)), (POSE[0], np.array([0, 0, 1e3]))

@@ -286,6 +286,7 @@ def test_videos_are_as_a_phone_writes_them_and_begin_empty(raw):
         assert np.median(changed[person]) > 40 > 16 > np.median(changed[masks[1] == 0])
 
 
+@pytest.mark.slow
 def test_who_shines_is_filmed_shining(tmp_path, raw, monkeypatch):
     monkeypatch.setattr("synth.raw.film.PARTS", ("head",))
     config = SynthConfig(size=SIZE, light="soft", truth=False, seed=5, sheen=0.5)

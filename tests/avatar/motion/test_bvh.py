@@ -1,5 +1,7 @@
 """BVH files, and their motion on our skeleton."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -45,9 +47,10 @@ def other_side(name: str) -> str:
     return "r" + name[1:] if name[0] == "l" else name
 
 
-def ours(motion):
-    """The motion on the built-in man, on the ground, and his joints' frames."""
-    clip = on_ground(motion, body_hull(builtin_body("male"))).read()
+@cache
+def ours(path):
+    """The file's motion on the built-in man, on the ground, and his joints' frames; only to read."""
+    clip = on_ground(read_bvh(path), body_hull(builtin_body("male"))).read()
     return clip, joint_transforms(clip.axis_angle, builtin_body("male").joints, clip.root)
 
 
@@ -56,7 +59,7 @@ def test_limbs_point_where_the_files_own_kinematics_points_them(name, data, with
     path = data / "bvh" / f"{name}.bvh"
     bvh = open_bvh(path)
     _, at = bvh.transforms(np.arange(bvh.frames))
-    _, G = ours(read_bvh(path))
+    _, G = ours(path)
     left = RIGS[name]
     pairs = left | {ours.replace("left", "right"): other_side(theirs) for ours, theirs in left.items()}
     checked = 0
@@ -81,7 +84,7 @@ def test_no_joint_turns_faster_than_in_the_file(name, data):
     path = data / "bvh" / f"{name}.bvh"
     bvh = open_bvh(path)
     R, _ = bvh.transforms(np.arange(bvh.frames))
-    _, G = ours(read_bvh(path))
+    _, G = ours(path)
     left = RIGS[name]
     for joint, theirs in (left | {o.replace("left", "right"): other_side(t) for o, t in left.items()}).items():
         mine, file = G[:, J[joint], :3, :3], R[:, bvh.names.index(theirs)]
@@ -92,7 +95,7 @@ def test_no_joint_turns_faster_than_in_the_file(name, data):
 
 @pytest.mark.parametrize("name", RIGS)
 def test_the_body_stands_upright_on_its_feet_with_knees_and_sides_right(name, data):
-    clip, G = ours(read_bvh(data / "bvh" / f"{name}.bvh"))
+    clip, G = ours(data / "bvh" / f"{name}.bvh")
     head, pelvis = G[:, J["head"], :3, 3], G[:, 0, :3, 3]
     assert np.median(head[:, 1] - pelvis[:, 1]) > 0.3  # metres; one file is gymnastics
     toes = G[:, [J["left_foot"], J["right_foot"]], 1, 3].min(1)
@@ -105,7 +108,7 @@ def test_the_body_stands_upright_on_its_feet_with_knees_and_sides_right(name, da
 
 
 def test_the_walk_goes_forward_at_walking_speed_with_bending_knees(data):
-    clip, G = ours(read_bvh(data / "bvh" / "pybvh_cmu_12_01_walk.bvh"))
+    clip, G = ours(data / "bvh" / "pybvh_cmu_12_01_walk.bvh")
     speed = np.gradient(clip.root, axis=0)[1:] * clip.rate
     forward = G[1:, 0, :3, 2]
     assert 0.7 < (speed * forward).sum(-1).mean() < 1.6  # metres per second

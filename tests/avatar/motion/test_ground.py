@@ -152,7 +152,7 @@ def test_bvh_files_stand_on_the_ground_on_every_avatar(file, sex, data, within):
     avatar = mannequin(sex)
     skeleton = RestSkeleton(avatar.joint_positions.astype(np.float64), pelvis_height(avatar))
     motion = fitted(read_bvh(data / "bvh" / f"{file}.bvh", skeleton), skeleton.pelvis_height)
-    motion = on_ground(replace(motion, frames=min(motion.frames, 600)), hull_of(avatar))
+    motion = on_ground(replace(motion, frames=min(motion.frames, 300)), hull_of(avatar))
     heights = soles(motion, hull_of(avatar))
     low = heights[heights < np.percentile(heights, 5) + 0.03]
     within(np.median(low), 0.01, "m")

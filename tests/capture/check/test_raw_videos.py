@@ -22,6 +22,7 @@ def test_good_videos_are_usable_as_a_folder_and_as_four_files(filmed_four, tmp_p
     assert find_videos(files) == find_videos([filmed_four])
 
 
+@pytest.mark.slow
 def test_a_hand_that_leaves_the_picture_is_said_with_the_time_and_the_body_alone_is_enough(
     filmed_four, tmp_path, capsys
 ):

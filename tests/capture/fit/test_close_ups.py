@@ -140,6 +140,7 @@ def nodding(degrees):
     return truth, stiff, footage, Keypoints(SHOULDERS, pixels, np.full(pixels.shape[:2], 0.9), None)
 
 
+@pytest.mark.slow
 def test_shoulders_are_found_under_a_head_that_nods():
     truth, stiff, footage, points = nodding(12)
     found = trunk_angles(stiff, footage, points)
@@ -158,6 +159,7 @@ def test_shoulders_are_found_under_a_head_that_nods():
     assert trunk_angles(stiff, footage, replace(points, pixels=wild)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("deviations", "believed"), [(7, True), (13, False)])
 def test_a_trunk_is_believed_within_ten_deviations_of_the_shoulders(monkeypatch, deviations, believed):
     _, stiff, footage, points = nodding(12)
@@ -165,6 +167,7 @@ def test_a_trunk_is_believed_within_ten_deviations_of_the_shoulders(monkeypatch,
     assert (trunk_angles(stiff, footage, points) is not None) == believed
 
 
+@pytest.mark.slow
 def test_long_hair_draws_no_head_down_into_itself():
     truth, behind, footage = once_round()
     x, over = truth.person.body.vertices, head.head_outlined()

@@ -87,6 +87,7 @@ def test_eyes_are_found_aside_above_and_behind_the_templates(body, tmp_path):
     np.testing.assert_allclose(found.moves, [[0.002, 0.0036, -0.0027]] * 2, atol=0.0008)
 
 
+@pytest.mark.slow
 def test_a_taller_opening_is_taller(body, tmp_path):
     cameras, film = filmed(body, tmp_path, taller=1.8)
     found = find_eyes(body, cameras, film, ALL)
@@ -113,6 +114,7 @@ def test_lids_and_sockets_go_there_and_brows_and_nose_hardly_move(body, tmp_path
     assert (moved[np.linalg.norm(body[:, None] - middles, axis=2).min(1) > 0.05] == 0).all()
 
 
+@pytest.mark.slow
 def test_closed_eyes_too_few_frames_and_a_head_from_afar_move_nothing(body, tmp_path):
     cameras, film = filmed(body, tmp_path, colors=(SKIN, SKIN, SKIN))
     assert find_eyes(body, cameras, film, ALL) is None
@@ -122,6 +124,7 @@ def test_closed_eyes_too_few_frames_and_a_head_from_afar_move_nothing(body, tmp_
     assert find_eyes(body, far, film, ALL) is None
 
 
+@pytest.mark.slow
 def test_thick_lashes_over_whites_in_their_shade_are_no_iris(body, tmp_path):
     shaded = (SKIN, (0.50, 0.42, 0.37), IRIS)
     cameras, film = filmed(body, tmp_path, off=(0.0012, -0.0016, 0.0), colors=shaded, lashes=0.0025)
@@ -130,6 +133,7 @@ def test_thick_lashes_over_whites_in_their_shade_are_no_iris(body, tmp_path):
     np.testing.assert_allclose(found.moves[:, :2], [[0.0012, -0.0016]] * 2, atol=0.0008)
 
 
+@pytest.mark.slow
 def test_lashes_before_the_eyes_say_nothing_of_their_depth(body, tmp_path):
     cameras, film = filmed(body, tmp_path, lashes=0.003, before=0.006)
     found = find_eyes(body, cameras, film, ALL)

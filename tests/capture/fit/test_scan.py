@@ -66,6 +66,7 @@ def filmed() -> tuple[Estimate, RawScan]:
     return truth, RawScan(videos)
 
 
+@pytest.mark.slow
 def test_scan_becomes_a_person(filmed, monkeypatch):
     truth, scan = filmed
     # the shortest fit that takes every step

@@ -47,6 +47,7 @@ def test_even_light_is_no_light(ambient):
     assert found.residual == found.residual_without
 
 
+@pytest.mark.slow
 def test_a_sheen_that_follows_the_eye_is_no_lamp_and_a_soft_light_is_a_light():
     assert fit_light(seen(CaptureLight(1.0), sheen=0.5)).lights == {}
     light = fit_light(seen(CaptureLight(0.45, SIDE), sheen=0.5)).lights["body"]
@@ -68,6 +69,7 @@ def test_a_second_lamp_is_found_where_it_explains_more():
     assert max(nearest) < 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
 def test_the_space_in_which_light_multiplies_is_found(gamma):
     light = fit_light(seen(CaptureLight(0.1, SIDE, gamma=gamma), noise=0.004)).lights["body"]
@@ -109,6 +111,7 @@ def filmed_in(capture: Capture, light: CaptureLight) -> Capture:
     return capture
 
 
+@pytest.mark.slow
 def test_a_still_person_tells_no_light_and_canonical_rays_of_the_head_reach_the_same(turning):
     """Nobody turns: each triangle has one shading, and skin and light cannot be told apart."""
     capture = filmed_in(turning, LIGHT)
@@ -126,6 +129,7 @@ def test_a_still_person_tells_no_light_and_canonical_rays_of_the_head_reach_the_
     assert pytest.approx(1) == np.linalg.det(canonical[0])
 
 
+@pytest.mark.slow
 def test_a_phone_on_a_tripod_takes_the_light_along(tmp_path):
     capture = read_capture(write_capture(tmp_path / "capture", size=32, frames=4))
     assert light_frame(capture) == "camera"

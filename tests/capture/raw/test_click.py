@@ -128,6 +128,7 @@ def clicks(found, noise):
     return answer
 
 
+@pytest.mark.slow
 def test_the_clicked_frames_are_fitted_and_the_empty_room_is_known(tmp_path, monkeypatch):
     film(tmp_path, "body", "body")
     video, out = open_video(tmp_path / "body.mp4"), tmp_path / "clicked.json"

@@ -39,6 +39,7 @@ def camera(monkeypatch):
     camera.close()
 
 
+@pytest.mark.slow
 def test_films_are_made_one_after_the_other_as_long_as_their_steps(camera, tmp_path):
     (tmp_path / "left.mp4").write_text("there already")
     viewer = Keys(_3="space", _45="n", _50="n")
@@ -61,6 +62,7 @@ def test_escape_begins_a_film_again_and_a_closed_window_keeps_those_that_are_the
     assert open_video(tmp_path / "body.mp4").frames == 30
 
 
+@pytest.mark.slow
 def test_the_ring_fills_and_outlines_fit_into_the_picture(camera, tmp_path):
     viewer = Keys(_1="space", _38="close")
     with pytest.raises(Stopped):

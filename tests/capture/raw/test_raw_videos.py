@@ -200,6 +200,7 @@ def test_a_part_that_is_lost_beyond_the_border_counts_as_cut_off(body):
     assert "at the right from 2." in what and what.endswith("s on"), what
 
 
+@pytest.mark.slow
 def test_the_other_hand_and_keypoints_of_other_videos_are_found(tmp_path):
     film(tmp_path, "hand_right", "left")
     at = judged(tmp_path, "hand_left", "left", keypoints_of="hand_right")

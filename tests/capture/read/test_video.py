@@ -56,6 +56,7 @@ def stand_in(scan, left_out=()):
     return FittedScan(TEMPLATE, videos, MARKS, ("fitted by a stand-in",))
 
 
+@pytest.mark.slow
 def test_a_capture_is_written_whole_with_soft_rims_and_its_origin(filmed_four, tmp_path):
     out = tmp_path / "capture"
     notes = import_video(given(filmed_four), out, lambda scan: stand_in(scan, left_out=(2,)))
@@ -116,6 +117,7 @@ def test_what_was_interrupted_goes_on_and_other_input_begins_anew(filmed_four, t
     assert len(list(work.rglob("*.png"))) == 2 * 4 * 6
 
 
+@pytest.mark.slow
 def test_folders_of_others_bad_videos_and_keypoints_of_three_stop_before_anything_is_fitted(filmed_four, tmp_path):
     film_anew(filmed_four, tmp_path / "me", "body", second=True)
     with pytest.raises(AssetError, match=r"body\.mp4: two people are in view"):

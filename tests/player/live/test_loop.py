@@ -197,6 +197,7 @@ def test_taken_ports_foreign_hosts_and_a_missing_package_are_one_line(monkeypatc
     refused(AssetError, r"192\.0\.2\.1", lambda: listen(Address("vmc", "192.0.2.1", 39539), Inbox("vmc")))
 
 
+@pytest.mark.slow
 def test_addresses_are_of_this_machine_and_stream_sends_the_motion(capsys):
     kinds = ("vmc", "udp", "ws")
     assert parse_address("vmc", kinds) == Address("vmc", "127.0.0.1", 39539)
