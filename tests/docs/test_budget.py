@@ -14,7 +14,7 @@ BUDGET = {
     "geometry": 1_693,
     "capture": 13_210,
     "train": 5_383,
-    "bake": 6_508,
+    "bake": 6_510,
     "player": 19_451,
     "shaders": 915,
     "synth": 4_027,
