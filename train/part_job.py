@@ -217,7 +217,7 @@ def part_untrained(job: PartJob, capture: Capture) -> Untrained:
     filmed = FilmedPart(part, video, subject, cloud, job.canonical_from_head if name == "head" else None)
     generator = np.random.default_rng([job.seed, job.index])
     chosen = ray_settings(settings, job.preset)
-    # of a frame half its share of what the steps draw, with repeats; body's serve stage 2 and Eq. 8 as well
+    # half of a frame's share of what the steps draw, with repeats; the body's serve stage 2 and Eq. 8 as well
     asked = max(job.preset.rays * settings.iterations // (2 * len(video.images)), 1000)
     if name != "body":
         chosen = replace(chosen, per_frame=min(chosen.per_frame, asked))
