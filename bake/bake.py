@@ -1,7 +1,7 @@
 """Run folder -> avatar file, in order: surface, decimation, atlas, skin, cone, color, network, measurement."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -59,8 +59,9 @@ from capture.folder import CaptureSubject
 from capture.own_face import OwnFace
 from command.errors import AssetError
 from command.workers import on_all_cores
+from geometry.closest import closest_points, triangle_index
 from geometry.isosurface import Extraction, GridSteps
-from geometry.mesh import TriangleMesh, enclosed_volume
+from geometry.mesh import TriangleMesh, enclosed_volume, vertex_normals
 from train.part_job import BROKEN_OFF, BROKEN_SHARE
 from train.run import BakeSource, read_run
 from train.surface import Surface
@@ -134,8 +135,8 @@ def bake_run(
     with ThreadPoolExecutor(1) as beside:
         # with the field's own textures, whatever the file will hold
         views = measure.test_views(joints, options.image)
-        whole, skin = TriangleMesh(origin.vertices, origin.faces), strongest_four(origin.weights)
-        surface = measure.FieldSurface(whole, run.surface.normals, skin, origin.cone, joints, field)
+        whole, normals = shown_surface(origin, run.surface.normals, extraction.mesh, given_up)
+        surface = measure.FieldSurface(whole, normals, strongest_four(origin.weights), origin.cone, joints, field)
         comparing = beside.submit(measure.compare, avatar, surface, views)
         if videos is not None:
             change = view_change(field, levels[0].charted, distilled)
@@ -202,6 +203,19 @@ def extracted(
         f"{extraction.islands} islands dropped)"
     )
     return Extracted(asked, layers, extraction, given_up)
+
+
+def shown_surface(
+    origin: SourceSurface, normals: Float[np.ndarray, "vertices 3"], extracted: TriangleMesh, given_up: Collection[str]
+) -> tuple[TriangleMesh, Float[np.ndarray, "vertices 3"]]:
+    """The run's surface and its normals, with parts that were given up where the extracted surface has them."""
+    vertices, normals = origin.vertices.copy(), normals.copy()
+    moved = np.isin(origin.part, [PARTS.index(part) for part in given_up])
+    if moved.any():
+        index = triangle_index(extracted.vertices, extracted.faces)
+        vertices[moved] = closest_points(vertices[moved], index).point
+        normals[moved] = vertex_normals(vertices, origin.faces)[moved]
+    return TriangleMesh(vertices, origin.faces), normals
 
 
 def unseen_lines(run: BakeSource, surface: SourceSurface, *, collar: bool) -> list[str]:

@@ -8,9 +8,21 @@ import torch
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
-from bake.bake import BakeOptions, _Clock, bake_run, broken_parts, extracted, level_plan, run_surface, unseen_lines
+from bake.bake import (
+    BakeOptions,
+    _Clock,
+    bake_run,
+    broken_parts,
+    extracted,
+    level_plan,
+    run_surface,
+    shown_surface,
+    unseen_lines,
+)
 from bake.promises import missed_promises
 from command.errors import AssetError
+from geometry.closest import closest_points, triangle_index
+from geometry.mesh import TriangleMesh
 from geometry.repair import find_faults
 
 
@@ -104,6 +116,19 @@ def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small
     assert "of hand_left is more than 3 cm" in lines[0] and "the template stays for hand_left" in lines[0]
     with pytest.raises(AssetError, match="of hand_left is more than 3 cm"):
         extracted(replace(broken, with_templates=None), origin, small, clock)
+
+
+def test_a_part_that_was_given_up_is_measured_where_the_extracted_surface_has_it(run):
+    origin = run_surface(run.surface)
+    hand = origin.part == PARTS.index("hand_left")
+    template = TriangleMesh(origin.vertices + [0.01, 0, 0], origin.faces)
+    shown, normals = shown_surface(origin, run.surface.normals, template, {"hand_left": "why"})
+    assert hand.any() and np.abs(shown.vertices[hand] - origin.vertices[hand]).max() > 1e-3
+    index = triangle_index(template.vertices, template.faces)
+    assert closest_points(shown.vertices[hand], index).distance.max() < 1e-9
+    np.testing.assert_array_equal(shown.vertices[~hand], origin.vertices[~hand])
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
+    assert shown_surface(origin, run.surface.normals, template, {})[0].vertices.tolist() == origin.vertices.tolist()
 
 
 def facts_with(paper_db=41.0, steps=(1.0, 2.0), view_db=40.0):
