@@ -103,7 +103,8 @@ def bake_run(
     clock = _Clock(report)
     joints = run.subject.joints
     origin = run_surface(run.surface)
-    worse, outlines = ({}, {}) if videos is None else worse_parts(run, videos)
+    # a template that was given is the person; of one that was fitted outlines say how good it is
+    worse, outlines = worse_parts(run, videos) if videos is not None and videos.estimated else ({}, {})
     for part, why in worse.items():
         clock.report(f"{part}: {why}: the template stays")
     field, layers, extraction, given_up = extracted(run, origin, options, clock, worse)

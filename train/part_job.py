@@ -217,8 +217,8 @@ def part_untrained(job: PartJob, capture: Capture) -> Untrained:
     filmed = FilmedPart(part, video, subject, cloud, job.canonical_from_head if name == "head" else None)
     generator = np.random.default_rng([job.seed, job.index])
     chosen = ray_settings(settings, job.preset)
-    # half of a frame's share of what the steps draw, with repeats; the body's serve stage 2 and Eq. 8 as well
-    asked = max(job.preset.rays * settings.iterations // (2 * len(video.images)), 1000)
+    # no more of a frame than its share of what the steps ask for; body's serve stage 2 and Eq. 8 as well
+    asked = max(job.preset.rays * settings.iterations // len(video.images), 1000)
     if name != "body":
         chosen = replace(chosen, per_frame=min(chosen.per_frame, asked))
     own = torch.from_numpy(cloud.points[cloud.part == job.index][::8].astype(np.float32))

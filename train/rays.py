@@ -75,17 +75,25 @@ class PartRays(NamedTuple):
 
 class StillSamples(NamedTuple):
     """Samples that the rays of all frames are marched to, so that the nearest is looked up: that of a cell, or one
-    of those beside it. A search tree, which is asked elsewhere, took four fifths of a head's preparation."""
+    of those beside it. A search tree took four fifths of a head's preparation."""
 
+    points: Float[Array, "s 3"]
     grid: SampleGrid
     beside: Int[Array, "s near"]  # the nearest samples of each, itself first
 
     @classmethod
-    def of(cls, points: Float[Array, "s 3"], about: Bool[Array, "s"], cell: float) -> "StillSamples":
-        """Looked up in `cell` (metres) in a box round the samples `about`, BESIDE wider than they are."""
-        low, high = points[about].min(0) - BESIDE, points[about].max(0) + BESIDE
-        grid = sample_grid(points, low, high, cell)
-        return cls(grid, KDTree(points).query(points, k=min(9, len(points)))[1].reshape(len(points), -1))
+    def of(cls, points: Float[Array, "s 3"], cell: float) -> "StillSamples":
+        """Looked up in `cell` (metres), in a box that is BESIDE wider than they are."""
+        grid = sample_grid(points, points.min(0) - BESIDE, points.max(0) + BESIDE, cell)
+        return cls(points, grid, KDTree(points).query(points, k=min(9, len(points)))[1].reshape(len(points), -1))
+
+    def nearest(self, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n"], Int[Array, "n"]]:
+        """Distance to the nearest sample and its number."""
+        high = self.grid.low + self.grid.cell * (np.array(self.grid.rows.shape) - 0.5)
+        near = self.beside[self.grid.nearest(np.clip(points, self.grid.low, high))]
+        away = np.square(self.points[near] - points[:, None]).sum(-1)
+        best = away.argmin(1)[:, None]
+        return np.sqrt(np.take_along_axis(away, best, 1)[:, 0]), np.take_along_axis(near, best, 1)[:, 0]
 
 
 class Samples(NamedTuple):
@@ -96,26 +104,15 @@ class Samples(NamedTuple):
 
     def finder(self, reach: float) -> Callable[[Float[Array, "n 3"]], tuple[Float[Array, "n"], Int[Array, "n"]]]:
         """What finds the distance to the nearest sample and its number; beyond `reach` (metres) neither counts."""
-        tree, cores, still = KDTree(self.points), torch.get_num_threads(), self.still
+        if self.still is not None:
+            return self.still.nearest
+        tree, cores = KDTree(self.points), torch.get_num_threads()
 
-        def searched(points: Array) -> tuple[Array, Array]:
+        def nearest(points: Array) -> tuple[Array, Array]:
             length, sample = tree.query(points, distance_upper_bound=reach, workers=cores)
             return np.asarray(length), np.asarray(sample)
 
-        def looked_up(points: Array) -> tuple[Array, Array]:
-            assert still is not None
-            sample = still.grid.nearest(points)
-            there, elsewhere = np.flatnonzero(sample >= 0), np.flatnonzero(sample < 0)
-            near = still.beside[sample[there]]
-            away = np.square(self.points[near] - points[there, None]).sum(-1)
-            best = away.argmin(1)[:, None]
-            length = np.empty(len(points))
-            length[there] = np.sqrt(np.take_along_axis(away, best, 1)[:, 0])
-            sample[there] = np.take_along_axis(near, best, 1)[:, 0]
-            length[elsewhere], sample[elsewhere] = searched(points[elsewhere])
-            return length, sample
-
-        return searched if still is None else looked_up
+        return nearest
 
 
 def march(
@@ -210,10 +207,8 @@ class FilmedPart:
     def still(self) -> Samples:
         """The samples of a rigid head."""
         cloud, thin = self.cloud, self.thin
-        points, extent = cloud.points[thin], self.part.extent
-        about = np.all((points > extent.low) & (points < extent.high), axis=1)
-        still = StillSamples.of(points, about, cloud.spacing)
-        return Samples(points, cloud.normals[thin], 2 * cloud.gap[thin], still)
+        points = cloud.points[thin]
+        return Samples(points, cloud.normals[thin], 2 * cloud.gap[thin], StillSamples.of(points, cloud.spacing))
 
     @property
     def scale(self) -> float:
