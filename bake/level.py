@@ -25,7 +25,7 @@ from bake.texture.texels import TexelMap, atlas_areas, barycentric, rasterise_ch
 from geometry.closest import match_surface
 from geometry.decimate import Enlargement, Magnifier, magnified
 from geometry.isosurface import Detail, PointFunction, project_to_zero
-from geometry.mesh import TriangleMesh, blended, face_areas
+from geometry.mesh import TriangleMesh, blended, face_areas, face_values
 from geometry.repair import find_faults
 from geometry.sample import stratified_samples
 
@@ -124,8 +124,7 @@ def bake_level(
     """One level of `size` texels a side of a collapsed mesh, still without colors and features."""
     mesh, normals = surface.mesh, surface.normals
 
-    # the middle one of three is the majority's, or between
-    face_part = np.sort(data.part[mesh.faces], axis=1)[:, 1]
+    face_part = face_values(data.part, mesh.faces)
     group = face_part
     if options.collar_density != 1:
         collar = data.weights[:, NECK_JOINTS].sum(1)[mesh.faces].mean(1) > 0.5

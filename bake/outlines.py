@@ -16,6 +16,7 @@ from capture.folder import PartVideo
 from capture.template.hull import moved_camera
 from capture.videos import even
 from geometry.cells import distance_to
+from geometry.mesh import face_values
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
 from train.run import BakeSource
@@ -32,7 +33,7 @@ class Candidate(NamedTuple):
     vertices: Float[Array, "vertices 3"]
     faces: Int[Array, "faces 3"]
     skin: SkinWeights
-    part: Int[Array, "vertices"]  # index into PARTS
+    part: Int[Array, "faces"]  # index into PARTS
 
     def drawn(
         self, rasteriser: Rasteriser, video: PartVideo, frame: int, videos: RunVideos, joints: Float[Array, "52 3"]
@@ -47,15 +48,16 @@ class Candidate(NamedTuple):
         step = -(-camera.size[1] // ROWS)
         camera = camera.resized((camera.size[0] // step, camera.size[1] // step))
         face = rasteriser.draw(vertices, self.faces, camera).face
-        return np.where(face >= 0, np.sort(self.part[self.faces], 1)[:, 1][face], -1)
+        return np.where(face >= 0, self.part[face], -1)
 
 
 def worse_parts(run: BakeSource, videos: RunVideos) -> tuple[dict[str, str], Facts]:
     """The parts whose template meets the outlines of their own films better than what they learned, each with how much,
     and what the file says of all."""
     subject, surface = run.subject, run.surface
-    template = Candidate(subject.vertices, subject.faces, subject.skin, subject.part)
-    learned = Candidate(surface.vertices, surface.faces, surface.skin, surface.part)
+    template, learned = (
+        Candidate(one.vertices, one.faces, one.skin, face_values(one.part, one.faces)) for one in (subject, surface)
+    )
     worse, facts = {}, {}
     if run.with_templates is None:
         return worse, facts

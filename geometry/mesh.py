@@ -40,6 +40,11 @@ def face_normals(vertices: Float[Array, "vertices 3"], faces: Integer[Array, "fa
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
 
 
+def face_values(values: Integer[Array, "vertices"], faces: Integer[Array, "faces 3"]) -> Integer[Array, "faces"]:
+    """The value that most corners of each face have; of three the middle one."""
+    return np.sort(values[faces], 1)[:, 1]
+
+
 def face_areas(vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"]) -> Float[Array, "faces"]:
     """Area of each face, in the square of the unit of the vertices."""
     return 0.5 * np.linalg.norm(area_normals(vertices, faces), axis=1)

@@ -162,8 +162,7 @@ def solve_texture(
         facts[name]["rms_after"] = rounded(255 * _rms(left, weight_roots(own.matrix) / sure))
     seen = found.seen_share()[:, None]
     if videos.estimated:
-        hangs = np.full(len(seen), True) if videos.chin is None else surface.points[:, 1] < videos.chin
-        seen[strange_on_hair(surface, solved, seen[:, 0] == 1) & hangs] = 0
+        seen[strange_on_hair(surface, solved, seen[:, 0] == 1, videos.chin)] = 0
     rest = np.flatnonzero(seen < 1)
     fill = filled_colors(surface, solved, seen[:, 0] == 1)
     solved[rest] = seen[rest] * solved[rest] + (1 - seen[rest]) * fill
@@ -354,11 +353,11 @@ def limb_of(share: Float[Array, "corners 52"]) -> Integer[Array, "corners"]:
 
 
 def strange_on_hair(
-    surface: TexelSurface, color: Float[Array, "texels 3"], seen: Bool[Array, "texels"]
+    surface: TexelSurface, color: Float[Array, "texels 3"], seen: Bool[Array, "texels"], chin: float | None
 ) -> Bool[Array, "texels"]:
-    """Texels of hair that show something else: what lies behind a lock that ends elsewhere than estimated; and within
-    MIXED of these what is a mix of the two. Above the chin it may stay: hair that reaches too far into a forehead shows
-    skin, and another lock's grey would end in a saw on it."""
+    """Texels of hanging hair that show something else: what lies behind a lock that ends elsewhere than estimated; and
+    within MIXED of these what is a mix of the two. None above the `chin` (canonical height, metres): hair that reaches
+    too far into a forehead shows skin, on which the hair's color would end in a saw."""
     found = np.zeros(len(color), bool)
     for piece in np.flatnonzero(np.arange(surface.piece.max() + 1) != np.bincount(surface.piece).argmax()):
         own = surface.piece == piece
@@ -369,7 +368,7 @@ def strange_on_hair(
             if strange.any():
                 away = KDTree(surface.points[strange]).query(surface.points[mixed], distance_upper_bound=MIXED)[0]
                 found[mixed[away < MIXED]] = True
-    return found
+    return found if chin is None else found & (surface.points[:, 1] < chin)
 
 
 def limb_axes(joints: Float[Array, "52 3"]) -> Float[Array, "52 3"]:

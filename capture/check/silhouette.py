@@ -14,6 +14,7 @@ from avatar.skinning import skin_points
 from capture.folder import Capture
 from capture.videos import even
 from geometry.cells import distance_to, nearest_marked, rim_of
+from geometry.mesh import face_values
 from geometry.rasterise import rasterise
 
 # outline error of the worst posed part beyond which poses are worth refining, in pixels as `common` counts them.
@@ -84,8 +85,7 @@ def outline(capture: Capture, part: str, frame: int) -> TemplateOutline:
         whole = (columns * step, rows * step)
         camera = Camera(camera.K, camera.camera_from_world, whole, camera.distortion).resized((columns, rows))
     drawn = rasterise(posed_template(capture, part, frame), capture.subject.faces, camera)
-    # each face has the majority of its three vertices
-    part_of_face = np.sort(capture.subject.part[capture.subject.faces], 1)[:, 1]
+    part_of_face = face_values(capture.subject.part, capture.subject.faces)
     parts = np.where(drawn.face >= 0, part_of_face[drawn.face], -1)
     found = agreement(parts, mask, PARTS.index(part))
     pixels = found._replace(edge=step * found.edge, offset=step * found.offset, spread=step * found.spread)

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from capture.folder import CaptureSubject
 from geometry.cells import connected_to, nearest_marked
-from geometry.mesh import face_areas, face_normals, vertex_normals
+from geometry.mesh import face_areas, face_normals, face_values, vertex_normals
 from geometry.sample import lattice_samples
 
 
@@ -118,8 +118,7 @@ def surface_cloud(
 ) -> SurfaceCloud:
     """Samples of the visible template: `fine` spacing on one part, `coarse` elsewhere (metres)."""
     faces = subject.faces[visible]
-    # the majority of the three
-    part = np.sort(subject.part[faces], 1)[:, 1]
+    part = face_values(subject.part, faces)
     gap = np.where(part == fine_part, fine, max(fine, coarse))
     samples = lattice_samples(subject.vertices, faces, gap)
     face = samples.face

@@ -116,6 +116,10 @@ def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small
     assert "of hand_left is more than 3 cm" in lines[0] and "the template stays for hand_left" in lines[0]
     with pytest.raises(AssetError, match="of hand_left is more than 3 cm"):
         extracted(replace(broken, with_templates=None), origin, small, clock)
+    # one that is given up before is not asked for twice
+    asked.clear()
+    found = extracted(broken, origin, small, clock, {"hand_left": "why"})
+    assert asked == [{"hand_left"}] and found.given_up == {"hand_left": "why"}
 
 
 def test_a_part_that_was_given_up_is_measured_where_the_extracted_surface_has_it(run):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from avatar.skeleton import PARTS
+from bake.bake import bake_run
 from bake.outlines import off_outline, worse_parts
 from bake.run_capture import run_videos
 from geometry.mesh import vertex_normals
@@ -43,6 +44,26 @@ def test_a_hand_that_grew_goes_and_one_that_learned_nothing_is_not_asked(source)
     assert "of the film's area off" in worse["hand_left"]
     still = {part: fact | {"steps": 0} for part, fact in run.provenance["parts"].items()}
     assert worse_parts(replace(swollen, provenance=run.provenance | {"parts": still}), videos) == ({}, {})
+
+
+class Begun(Exception):
+    """A bake that began with these parts of its template."""
+
+
+@pytest.mark.parametrize("estimated", [True, False])
+def test_parts_go_back_where_the_person_was_fitted_and_none_of_who_was_given(
+    run, small, videos, tmp_path, monkeypatch, estimated
+):
+    def begun(run, origin, options, clock, worse):
+        raise Begun(sorted(worse))
+
+    monkeypatch.setattr("bake.bake.extracted", begun)
+    monkeypatch.setattr("bake.bake.worse_parts", lambda run, videos: ({"hand_left": "why"}, {}))
+    lines = []
+    with pytest.raises(Begun) as found:
+        bake_run(run, tmp_path / "one.glb", small, lines.append, replace(videos, estimated=estimated))
+    assert found.value.args == ((["hand_left"] if estimated else []),)
+    assert ("hand_left: why: the template stays" in " ".join(lines)) == estimated
 
 
 def test_outlines_are_compared_about_the_part_where_the_mask_is_known():

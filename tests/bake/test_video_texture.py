@@ -393,8 +393,11 @@ def test_a_lock_that_shows_the_shirt_is_unseen_and_dark_hair_with_a_shine_is_not
     # a mix of both beside the shirt, and the same color far from it
     mixed, brown = hair[(away > 0) & (away < 0.004)], hair[away > 0.03]
     color[mixed] = color[brown[40:80]] = [0.25, 0.22, 0.2]
-    found = strange_on_hair(surface, color, np.ones(len(color), bool))
+    found = strange_on_hair(surface, color, np.ones(len(color), bool), None)
     assert len(mixed) and set(np.flatnonzero(found)) == {*shirt, *mixed}
+    chin = float(np.median(surface.points[shirt, 1]))
+    hanging = strange_on_hair(surface, color, np.ones(len(color), bool), chin)
+    assert hanging.tolist() == (found & (surface.points[:, 1] < chin)).tolist() != found.tolist()
 
 
 def test_a_solved_texture_is_kept_within_what_pixels_show(painted, videos, monkeypatch):

@@ -15,7 +15,15 @@ from command.errors import AssetError
 from geometry import closest
 from geometry.closest import closest_on_triangles, closest_points, triangle_index
 from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged, magnified, shrunk
-from geometry.mesh import TriangleMesh, component_labels, enclosed_volume, face_areas, largest_component, vertex_normals
+from geometry.mesh import (
+    TriangleMesh,
+    component_labels,
+    enclosed_volume,
+    face_areas,
+    face_values,
+    largest_component,
+    vertex_normals,
+)
 from geometry.mesh import weld as welded_vertices
 from geometry.repair import find_faults, split_nonmanifold
 from geometry.sample import lattice_samples, stratified_samples
@@ -46,6 +54,12 @@ def test_normals_see_no_texture_seams_have_unit_length_without_area_and_are_summ
     vertices, faces = icosphere(0.3, subdivisions=4)
     single = vertices.astype(np.float32)
     np.testing.assert_array_equal(vertex_normals(single, faces), vertex_normals(single.astype(np.float64), faces))
+
+
+def test_a_face_has_what_most_of_its_corners_have_and_of_three_the_middle_one():
+    values = np.array([0, 0, 3, 1, 2])
+    faces = np.array([[0, 1, 2], [2, 0, 1], [4, 2, 3], [2, 2, 2]])
+    assert face_values(values, faces).tolist() == [0, 0, 2, 3]
 
 
 def test_the_largest_component_is_the_one_of_greatest_area():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial import KDTree
-from tiny import tiny, tiny_training
+from tiny import TINY, tiny, tiny_training
 
 from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights, blended_rotations
@@ -21,7 +21,7 @@ from train.deform import canonical_directions, inverse_transforms
 from train.fused import part_weight
 from train.networks import ColorInputs
 from train.networks.seen import SeenNetworks
-from train.preset import PREVIEW
+from train.preset import HEAD, PREVIEW, shortened
 from train.run import read_run
 from train.skin import harmonic_fill
 from train.template_grid import TemplateGrid, template_grid
@@ -160,6 +160,22 @@ def test_a_run_like_another_has_its_template_and_light_and_other_numbers_are_ref
         tiny_training(tiny_capture, tmp_path / "other", *like, "--seed", "7", preset=SMALL)
     with pytest.raises(AssetError, match="poses are refined before"):
         tiny_training(tiny_capture, tmp_path / "other", *like[:2], "--refine-poses", "on", preset=SMALL)
+
+
+@pytest.mark.slow
+def test_a_head_is_learned_beside_a_body_and_hands_that_are_not(painted, tiny_capture, tmp_path):
+    preset = replace(SMALL, name="head", parts=(SMALL.parts[0], TINY.parts[1], *SMALL.parts[2:]))
+    assert preset.learned == HEAD.learned == (1,) and not preset.meets
+    assert [part.iterations for part in shortened(HEAD, 7).parts] == [0, 7, 0, 0]
+    run = read_run(tiny_training(tiny_capture, tmp_path / "run", preset=preset))
+    assert [run.provenance["parts"][name]["steps"] for name in PARTS] == [0, TINY.parts[1].iterations, 0, 0]
+    assert run.bake_source.with_templates is not None and painted.bake_source.with_templates is None
+    assert not (run.path / "body_stage1.pt").exists()
+    # the body's field is the template's in both, the head's has moved
+    points = torch.as_tensor(run.subject.vertices, dtype=torch.float32)
+    moved = (run.field.distance(points) - painted.field.distance(points)).abs().numpy()
+    body, head = (run.subject.part == PARTS.index(name) for name in ("body", "head"))
+    assert np.median(moved[body]) < 1e-6 < 1e-4 < np.median(moved[head])
 
 
 @pytest.mark.slow
