@@ -71,11 +71,24 @@ def lines_of(part):
     return [*fingers, (f"{side}_wrist", f"{side}_elbow", 11)]
 
 
+def painted(part, turn, picture, shift=(0, 0)):
+    """The figure before a picture of the room, its mask, and names to pixels."""
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]] + 0.5
+    pixels, mask = np.stack([x, y], -1), np.zeros(SIZE[::-1], bool)
+    middle = np.array(SIZE) / 2 + shift
+    at = {name: middle + place for name, place in points_of(part, turn).items()}
+    for n, (a, b, radius) in enumerate(lines_of(part)):
+        along = at[b] - at[a]
+        t = np.clip((pixels - at[a]) @ along / max(along @ along, 1e-9), 0, 1)
+        limb = np.linalg.norm(pixels - at[a] - t[..., None] * along, axis=-1) < radius
+        picture = np.where(limb[..., None], COLORS[n % 5] + 20 * np.sin(x / 2 + n)[..., None], picture)
+        mask |= limb
+    return picture, mask, at
+
+
 def film(folder, part, name, *, empty=True, shift=(0, 0), still=True, second=False, upside_down=False, blurred=()):
     """Write NAME.mp4 and keypoints/PART.json; returns the true masks."""
     rng = np.random.default_rng(len(part))
-    y, x = np.mgrid[: SIZE[1], : SIZE[0]] + 0.5
-    pixels = np.stack([x, y], -1)
     room, masks, instances = wall(), [], []
     (folder / "keypoints").mkdir(exist_ok=True)
     path = folder / f"{name}.mp4"
@@ -89,15 +102,7 @@ def film(folder, part, name, *, empty=True, shift=(0, 0), still=True, second=Fal
             mask = np.zeros(SIZE[::-1], bool)
             people = []
             if i >= ABSENT or not empty:
-                turn = max(0, i - ABSENT) / (FRAMES - ABSENT)
-                middle = np.array(SIZE) / 2 + shift
-                at = {name: middle + place for name, place in points_of(part, turn).items()}
-                for n, (a, b, radius) in enumerate(lines_of(part)):
-                    along = at[b] - at[a]
-                    t = np.clip((pixels - at[a]) @ along / max(along @ along, 1e-9), 0, 1)
-                    limb = np.linalg.norm(pixels - at[a] - t[..., None] * along, axis=-1) < radius
-                    picture = np.where(limb[..., None], COLORS[n % 5] + 20 * np.sin(x / 2 + n)[..., None], picture)
-                    mask |= limb
+                picture, mask, at = painted(part, max(0, i - ABSENT) / (FRAMES - ABSENT), picture, shift)
                 people.append(at)
                 if second:
                     people.append({k: (0.5 * px, 0.8 * py + 20) for k, (px, py) in at.items()})

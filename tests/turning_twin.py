@@ -1,4 +1,4 @@
-"""A person of the free body who turns before a camera, all of it known: what capture/fit has to find again."""
+"""A person of the free body, a hand and a head that turn before a camera, all known: what capture/fit finds again."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -8,6 +8,7 @@ import numpy as np
 from avatar.kinematics import skinned
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS
+from capture.fit import hand, head
 from capture.fit.body import MOVING, body_names
 from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import projected
@@ -17,6 +18,7 @@ from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
 
 Array = np.ndarray
+FRAMES, SIZE = 16, 400  # of a hand's or a head's turn; pixels
 
 
 class Twin(NamedTuple):
@@ -99,3 +101,41 @@ def limb_error(truth: Estimate, found: Estimate) -> float:
              for n in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")]  # fmt: skip
     places = [posed_frames(e).place[:, limbs] for e in (truth, found)]
     return float(np.linalg.norm(places[0] - places[1], axis=2).mean())
+
+
+def shown(truth, names, moving):
+    """Footage of an estimate that is the truth, with half a pixel of noise."""
+    truth, footage = pictured(truth, names, moving, size=SIZE, focal=700.0)
+    noise = 0.5 * np.random.default_rng(0).standard_normal(footage.pixels.shape)
+    return truth, replace(footage, pixels=footage.pixels + noise, sure=2 * footage.sure)
+
+
+def truth_of(person, root, heading, angles):
+    """The truth of frames of a person of the free body's shape."""
+    return Estimate(person, np.zeros(len(person.sigma)), np.zeros((1, 3)), 0.0, angles[0], root, heading, angles)
+
+
+def turned_hand(side):
+    """A bent hand that turns once, its roll and its footage."""
+    person = person_of("male")
+    wrist = person.body.joints[JOINTS.index(f"{side}_wrist")]
+    roll = 2 * np.pi * np.arange(FRAMES) / FRAMES
+    sign = 1 if side == "left" else -1
+    up = matrix_from_axis_angle(np.array([0, 0, sign * np.pi / 2]))
+    heading = matrix_from_axis_angle(roll[:, None] * [0, 1.0, 0]) @ up
+    angles = np.zeros((FRAMES, 52, 3))
+    angles[:, hand.hand_joints(side)[1:], 0] = np.radians(12)
+    truth = truth_of(person, np.array([0, 0, -0.5]) - heading @ wrist, heading, angles)
+    return shown(truth, hand.hand_names(side)[:-1], hand.hand_joints(side))
+
+
+def turning_head(turn, **changed):
+    """A head that turns so, radians, as found, and its footage; `changed` biases of points."""
+    person = person_of("female")
+    heading = matrix_from_axis_angle(turn[:, None] * [0, 1.0, 0])
+    neck = person.body.joints[head.HEAD]
+    truth = truth_of(person, np.array([0, 0, -0.7]) - heading @ neck, heading, np.zeros((len(turn), 52, 3)))
+    truth, footage = shown(truth, head.NAMES, np.zeros(0, np.int64))
+    for name, bias in changed.items():
+        truth.bias[footage.names.index(name)] = bias
+    return truth, footage

@@ -27,6 +27,8 @@ from geometry.cells import distance_to, nearest_marked, pieces
 WALKED = 300
 # deviations at which a pixel is as likely the person's as not, and how sharply that turns
 EVEN, SHARP = 4.0, 1.0
+# grey levels: an encoder is off by a share of the room's edges as strong as this, and by little more at stronger ones
+STRONG = 20.0
 # probabilities beyond which a pixel needs no walk, and up to which it shows the room as lit as in the plate
 CERTAIN, LIT = 0.96, 0.1
 # the darkest shadow that the floor may get, and the walls, as a share of their light
@@ -147,9 +149,10 @@ def _differs(
 ) -> tuple[Float[Array, "height width"], Float[Array, "height width"]]:
     """Probability that a pixel shows neither the room lit nor in shadow, and that it does not show the room lit."""
     shown, behind = smoothed(image), plate.smooth * gain
-    # where the room has edges more difference means nothing
+    # where the room has edges more difference means nothing, however strong they are
     bright = _dot(behind, np.ones_like(behind)) / 3
-    deviation = np.sqrt((0.8 * plate.noise) ** 2 + (0.012 * bright) ** 2 + (0.6 * plate.detail) ** 2)
+    edges = plate.detail / np.hypot(1, plate.detail / STRONG)
+    deviation = np.sqrt((0.8 * plate.noise) ** 2 + (0.012 * bright) ** 2 + (0.6 * edges) ** 2)
     off = shown - behind
     apart = np.sqrt(_dot(off, off) / 3) / deviation
     # the room in shadow: the same color, darker

@@ -14,7 +14,6 @@ from capture.fit import hand, head
 from capture.fit.body import CUTS, MOVING, body_names
 from capture.fit.contours import Silhouette
 from capture.fit.face import same_size, with_own_face
-from capture.fit.footage import Estimate
 from capture.fit.outline_term import Outlines
 from capture.fit.person import person_of
 from capture.fit.picture import fit_pose
@@ -26,39 +25,22 @@ from capture.fit.trunk import SHOULDERS, trunk_angles
 from capture.keypoints.record import Keypoints
 from capture.raw.outline import HANGING
 from capture.template.eyes import body_sockets
-from tests.turning_twin import in_clothes, pictured, pixels_of, turning_twin
-
-FRAMES, SIZE = 16, 400
-
-
-def shown(truth, names, moving):
-    """Footage of an estimate that is the truth, with half a pixel of noise."""
-    truth, footage = pictured(truth, names, moving, size=SIZE, focal=700.0)
-    noise = 0.5 * np.random.default_rng(0).standard_normal(footage.pixels.shape)
-    return truth, replace(footage, pixels=footage.pixels + noise, sure=2 * footage.sure)
-
-
-def truth_of(person, root, heading, angles):
-    """The truth of frames of a person of the free body's shape."""
-    return Estimate(person, np.zeros(len(person.sigma)), np.zeros((1, 3)), 0.0, angles[0], root, heading, angles)
+from tests.turning_twin import (
+    FRAMES,
+    SIZE,
+    in_clothes,
+    pictured,
+    pixels_of,
+    shown,
+    truth_of,
+    turned_hand,
+    turning_head,
+    turning_twin,
+)
 
 
 def degrees(a, b):
     return np.degrees(np.linalg.norm(axis_angle_from_matrix(np.swapaxes(a, -1, -2) @ b), axis=-1))
-
-
-def turned_hand(side):
-    """A bent hand that turns once, its roll and its footage."""
-    person = person_of("male")
-    wrist = person.body.joints[JOINTS.index(f"{side}_wrist")]
-    roll = 2 * np.pi * np.arange(FRAMES) / FRAMES
-    sign = 1 if side == "left" else -1
-    up = matrix_from_axis_angle(np.array([0, 0, sign * np.pi / 2]))
-    heading = matrix_from_axis_angle(roll[:, None] * [0, 1.0, 0]) @ up
-    angles = np.zeros((FRAMES, 52, 3))
-    angles[:, hand.hand_joints(side)[1:], 0] = np.radians(12)
-    truth = truth_of(person, np.array([0, 0, -0.5]) - heading @ wrist, heading, angles)
-    return shown(truth, hand.hand_names(side)[:-1], hand.hand_joints(side))
 
 
 def joints_off(truth, found, side):
@@ -85,18 +67,6 @@ def test_outlines_of_thicker_fingers_do_not_draw_the_hand_nearer():
     assert len(told) == STEPS["hand_left"]
     # .2 cm; 5.5 of 50 cm where fingers' lengths and poses moved before offsets
     assert np.linalg.norm(joints_off(truth, found, "left"), axis=2).mean() < 0.006
-
-
-def turning_head(turn, **changed):
-    """A head that turns so, radians, as found, and its footage; `changed` biases of points."""
-    person = person_of("female")
-    heading = matrix_from_axis_angle(turn[:, None] * [0, 1.0, 0])
-    neck = person.body.joints[head.HEAD]
-    truth = truth_of(person, np.array([0, 0, -0.7]) - heading @ neck, heading, np.zeros((len(turn), 52, 3)))
-    truth, footage = shown(truth, head.NAMES, np.zeros(0, np.int64))
-    for name, bias in changed.items():
-        truth.bias[footage.names.index(name)] = bias
-    return truth, footage
 
 
 def once_round():
