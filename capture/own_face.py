@@ -24,7 +24,7 @@ FITTED = (
 NUMBERS = [SHAPES.index(name) for name in FITTED]
 OWN_FACE, FORMAT = "face.json", "selfscan-face"
 # what is believed
-GAINS, OFFSETS, COLORS = (0.3, 2.0), (-1.0, 1.0), (0.05, 5.0)
+GAINS, OFFSETS, COLORS = (0.3, 2.0), (-1.0, 1.0), (0.05, 15.0)
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,12 @@ class OwnFace:
         colors = {"teeth": self.teeth, "red": self.red}
         found = {name: color.round(4).tolist() for name, color in colors.items() if color is not None}
         return {"format": FORMAT, "version": 1, "shapes": shapes, "colors": found}
+
+
+def believed(gains: Float[Array, "10"], offsets: Float[Array, "10"], *colors: Float[Array, "3"] | None) -> OwnFace:
+    """What a film says, as far as `read_own_face` believes it; a color that is not counts as not seen."""
+    known = [c if c is not None and (np.clip(c, *COLORS) == c).all() else None for c in colors]
+    return OwnFace(np.clip(gains, *GAINS), np.clip(offsets, *OFFSETS), *known)
 
 
 def read_own_face(path: Path) -> OwnFace:

@@ -143,14 +143,14 @@ def minimise(
 ) -> Estimate:  # fmt: skip
     """Lower the cost that `assemble` returns beside its equations, by at most `rounds` Gauss-Newton steps.
 
-    Levenberg's and Marquardt's damping: a step that raises the cost is taken back and made shorter.
+    Levenberg's and Marquardt's damping: a step to a cost that is higher, or no number, is taken back and made shorter.
     """
     damping = DAMPING
     equations, cost = assemble(estimate)
     for _ in range(rounds):
         tried = moved(estimate, *equations.solve(damping))
         others, other_cost = assemble(tried)
-        if other_cost > cost:
+        if not other_cost <= cost:
             damping *= 20
             continue
         settled = cost - other_cost < SETTLED * cost

@@ -78,6 +78,15 @@ class _Scene(NamedTuple):
         return self.video.masks.shape[1] / 256
 
 
+class _SeenVertices(NamedTuple):
+    """Vertices of the part that one frame shows well."""
+
+    frame: Posed
+    at: Int[Array, "n"]
+    places: Float[Array, "n 3"]  # world
+    pixels: Float[Array, "n 2"]
+
+
 class _DrawnTemplate(NamedTuple):
     """One frame's template: world, and drawn."""
 
@@ -127,18 +136,22 @@ def align(
     cuts = scale * np.geomspace(40.0, 3.0, ROUNDS)
     for number, cut in enumerate(cuts):
         first, colored = number == 0, number >= ROUNDS - COLORED
-        views = [_view(scene, f, R[f], root[f], slide=first) for f in range(frames)]
         equations = NormalEquations(frames, params)
         away: list[Array] = []
         corners: list[Array] = []
-        for f, view in enumerate(views):
+        seen: list[_SeenVertices] = []
+        # a drawing at a time: on its canvas one of 1080 x 1080 has 170 MB
+        for f in range(frames):
+            view = _view(scene, f, R[f], root[f], slide=first)
             edge[f], r, corner = _add_outline(equations, scene, f, view, outlines[f], cut, beyond)
             away.append(r)
             corners.append(corner)
+            if colored:
+                seen.append(_seen(scene, view, f))
         if cut < 15 * scale:
             beyond = cells.shared(np.concatenate(corners), np.concatenate(away), PSEUDOCOUNT)
         if colored:
-            _add_colors(equations, scene, views)
+            _add_colors(equations, scene, seen)
         _add_smoothness(equations, R[:, moving])
         delta = axis_angle_from_matrix(np.swapaxes(given, -1, -2) @ R)[:, moving].reshape(frames, -1)
         equations.hold(np.arange(params), np.c_[root - video.root, delta], 1 / sigma**2)
@@ -249,8 +262,8 @@ def outline_offset(video: PartVideo, subject: CaptureSubject) -> float:
     return float(found.mean()) / scale if len(found) else 0.0
 
 
-def _seen(scene: _Scene, view: _DrawnTemplate, f: int) -> tuple[Array, Array]:
-    """Vertices of the part that frame f shows well, and their pixels."""
+def _seen(scene: _Scene, view: _DrawnTemplate, f: int) -> _SeenVertices:
+    """What frame f shows well."""
     video, subject, part = scene.video, scene.subject, scene.part
     camera = video.cameras[f]
     pixels, depth = project(camera, view.posed)
@@ -264,34 +277,35 @@ def _seen(scene: _Scene, view: _DrawnTemplate, f: int) -> tuple[Array, Array]:
     open_ = depth[at] < view.drawn.depth[y, x] + 0.01
     deep = np.asarray(ndimage.binary_erosion(video.masks[f], iterations=2), bool)
     at = at[open_ & deep[y, x]]
-    return at, pixels[at]
+    return _SeenVertices(view.frame, at, view.posed[at], pixels[at])
 
 
-def _add_colors(equations: NormalEquations, scene: _Scene, views: list[_DrawnTemplate]) -> None:
+def _add_colors(equations: NormalEquations, scene: _Scene, seen: list[_SeenVertices]) -> None:
     """Add the color term of all frames: each vertex against its mean over the frames that see it, at least 4."""
+
+    def blurred(f: int) -> Float[Array, "height width 3"]:
+        return np.asarray(ndimage.gaussian_filter(video.images[f].astype(np.float32) / 255, (1.0, 1.0, 0)))
+
     video, subject = scene.video, scene.subject
     total, number = np.zeros((len(subject.vertices), 3)), np.zeros(len(subject.vertices))
-    seen = []
-    for f, view in enumerate(views):
-        at, pixels = _seen(scene, view, f)
-        image = ndimage.gaussian_filter(video.images[f].astype(np.float32) / 255, (1.0, 1.0, 0))
-        color = bilinear(image, pixels)
-        total[at] += color
-        number[at] += 1
-        seen.append((at, pixels, image, color))
+    for f, vertices in enumerate(seen):
+        total[vertices.at] += bilinear(blurred(f), vertices.pixels)
+        number[vertices.at] += 1
     mean = total / np.maximum(number, 1)[:, None]
-    for f, (at, pixels, image, color) in enumerate(seen):
+    for f, (frame, at, places, pixels) in enumerate(seen):
         keep = number[at] >= 4
-        at, pixels, r = at[keep], pixels[keep], (mean[at] - color)[keep]
+        at, places, pixels = at[keep], places[keep], pixels[keep]
         if len(at) == 0:
             continue
+        image = blurred(f)
+        r = mean[at] - bilinear(image, pixels)
         r = r - np.median(r, 0)  # exposure
         weight = robust_weight((r**2).sum(1), COLOR) / COLOR**2 * _share_of_pixel(pixels)
-        moves = pixel_rows(video.cameras[f], views[f].posed[at])[1]
+        moves = pixel_rows(video.cameras[f], places)[1]
         dy, dx = (bilinear(slope, pixels) for slope in np.gradient(image, axis=(0, 1)))
         for c in range(3):
             g = np.einsum("ni,nij->nj", np.stack([dx[:, c], dy[:, c]], 1), moves)
-            rows = increment_rows(views[f].frame, subject.vertices[at], subject.skin.of(at), g, scene.moving)
+            rows = increment_rows(frame, subject.vertices[at], subject.skin.of(at), g, scene.moving)
             equations.add(f, rows, r[:, c], weight)
 
 

@@ -2,8 +2,9 @@
 
 Each of many rotations is tried: points turned by it, drawn without perspective, are scaled and shifted onto the
 keypoints (robust least squares). Of what fits in single frames, the path of smallest cost and smallest turns from frame
-to frame is taken (Viterbi 1967). What a mirror image in depth would fit as well (nothing but a plane of points seen
-without perspective), points off the plane decide: nose, toes, thumb.
+to frame is taken (Viterbi 1967); frames that show nothing turn on as those beside them do. What a mirror image in depth
+would fit as well (nothing but a plane of points seen without perspective), points off the plane decide: nose, toes,
+thumb.
 """
 
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from avatar.rotation import matrix_from_axis_angle, matrix_from_quaternion
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
 from geometry.least_squares import robust_cost, robust_weight
 
 # metres by which a body in a T-pose may be off its points
@@ -23,6 +24,8 @@ TURN = 25.0
 # no person makes between frames, for long less than half a turn there and back
 SWITCH, EXCHANGED = 5.0, 0.2
 ROUNDS = 4
+# points that say where a frame faces; frames on either side of a gap that say how it turns
+LEAST, BESIDE = 3, 6
 
 
 class Directions(NamedTuple):
@@ -69,7 +72,26 @@ def find_directions(
     exchanged, path = _smooth_path(cost, candidates)
     frame = np.arange(len(path))
     found = frame, exchanged, path
-    return Directions(candidates[path], scale[found], origin[found], exchanged == 1)
+    rotation = _turned_on(candidates[path], seen.sum(1) >= LEAST)
+    return Directions(rotation, scale[found], origin[found], exchanged == 1)
+
+
+def _turned_on(rotation: Float[Array, "frames 3 3"], seen: Bool[Array, "frames"]) -> Float[Array, "frames 3 3"]:
+    """The rotations, those of unseen frames between seen ones an even turn: of the two ways round the one that goes on
+    as the frames beside the gap turn."""
+    out, known = rotation.copy(), np.flatnonzero(seen)
+    step = axis_angle_from_matrix(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2))
+    step[~(seen[1:] & seen[:-1])] = 0
+    for a, b in zip(known[:-1], known[1:]):
+        if b == a + 1:
+            continue
+        beside = np.r_[step[max(a - BESIDE, 0) : a], step[b : b + BESIDE]]
+        rate = beside.sum(0) / max(np.count_nonzero(beside.any(1)), 1)
+        way = axis_angle_from_matrix(rotation[b] @ rotation[a].T)
+        other = way * (1 - 2 * np.pi / max(np.linalg.norm(way), 1e-9))
+        way = min(way, other, key=lambda turn: np.linalg.norm(turn - rate * (b - a)))
+        out[a + 1 : b] = matrix_from_axis_angle(np.arange(1, b - a)[:, None] / (b - a) * way) @ rotation[a]
+    return out
 
 
 def _fits(
@@ -80,7 +102,7 @@ def _fits(
     cost, scale = np.zeros((2, len(pixels), len(flat)))
     origin = np.zeros((len(pixels), len(flat), 2))
     for f, (q, here) in enumerate(zip(pixels, seen)):
-        if here.sum() < 3:
+        if here.sum() < LEAST:
             cost[f] = slack**2
             scale[f] = np.nan
             continue

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from avatar.skeleton import JOINTS, PARTS
 from capture.fit.body import CUTS, Report
-from capture.fit.directions import opposite, turns_about_y
+from capture.fit.directions import LEAST, opposite, turns_about_y
 from capture.fit.face import same_size, with_own_face
 from capture.fit.footage import Estimate, Footage, unplaced
 from capture.fit.offsets import STIFFNESS, dressed
@@ -34,8 +34,8 @@ NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "face_08", *F
 def first_guess(person: Person, g: Array, footage: Footage) -> Estimate:
     """The head's heading and place; where no point is seen, in between."""
     seen = footage.sure > 0
-    # two ears alone say nothing
-    seen &= (seen.sum(1) >= 4)[:, None]
+    # two ears alone say nothing; nose, eye and ear show a profile
+    seen &= (seen.sum(1) >= LEAST)[:, None]
     return placed_rigidly(unplaced(person, g, footage), footage, HEAD, turns_about_y(6, (-32, -16, 0, 16, 32)), seen,
                           mirrored=opposite(footage.names), slack=SLACK)[0]  # fmt: skip
 

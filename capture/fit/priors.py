@@ -37,6 +37,8 @@ FROZEN = 1e-3
 STEPS = (1.0, -2.0, 1.0)
 # standard deviations of the path's second difference from which on it says little (Geman-McClure's c)
 STEP_ASIDE = 4.0
+# and of the heading's, radians: turns are quick at times
+JUMP = np.radians(30.0)
 
 
 @dataclass(frozen=True)
@@ -152,9 +154,9 @@ def _add_smoothness(equations: NormalEquations, estimate: Estimate, footage: Foo
     cost = float((second**2).sum()) / priors.smooth**2 + _add_smooth_path(equations, estimate.root, priors)
     a, rows = second_turns(estimate.heading[:, None])
     # turns are quick at times: a jump counts less
-    weight = robust_weight((a**2).sum(2), np.radians(30.0)) / priors.smooth_heading**2
-    equations.add_second_difference(np.array([[3, 4, 5]]), a, rows, weight)
-    return cost + float(((a**2).sum(2) * weight).sum())
+    e, sigma = (a**2).sum(2), priors.smooth_heading
+    equations.add_second_difference(np.array([[3, 4, 5]]), a, rows, robust_weight(e, JUMP) / sigma**2)
+    return cost + float(robust_cost(e, JUMP).sum()) / sigma**2
 
 
 def _add_smooth_path(equations: NormalEquations, root: Float[Array, "frames 3"], priors: Priors) -> float:

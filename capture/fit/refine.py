@@ -24,7 +24,7 @@ from avatar.skeleton import PARTS
 from capture.check.silhouette import MISALIGNED, outline_errors
 from capture.fit.align import align, outline_offset
 from capture.fit.masks import believed_offset, mask_offsets, pixels_off, redrawn
-from capture.folder import Capture, PartVideo, read_capture
+from capture.folder import Capture, CaptureSubject, PartVideo, read_capture
 from capture.videos import changed, only
 from command.errors import AssetError
 from command.progress import Reporter, plural
@@ -41,6 +41,7 @@ class RefineJob:
     """The refinement of one video, for a worker process."""
 
     capture: str
+    subject: CaptureSubject  # as it is dressed, not as the capture has it
     part: str
     folder: str  # RUN.partial
     # how far outside of the true outline the masks are, pixels of an image 256 high
@@ -72,7 +73,7 @@ def refine_capture(
     if wanted and errors:
         off = ", ".join(f"{part} {errors[part]:.1f} px" for part in wanted)
         say(f"outlines miss the masks ({off}): poses refined first; --refine-poses off keeps them")
-    jobs = {part: RefineJob(str(capture.path), part, str(folder), believed) for part in wanted}
+    jobs = {part: RefineJob(str(capture.path), capture.subject, part, str(folder), believed) for part in wanted}
     facts: dict[str, Any] = dict(run(jobs, refine_part))
     masks_off = believed_offset(offsets | {part: facts[part]["masks_off_px"] for part in facts})
     if masks_off:
@@ -95,8 +96,7 @@ def may_refine(capture: Capture, choice: str) -> bool:
 def refine_part(job: RefineJob, reporter: Reporter) -> dict:
     """Align one video's poses with its masks and write them; returns what run.json says of it."""
     path = refined_path(Path(job.folder), job.part)
-    capture = read_capture(job.capture, parts=(job.part,))
-    video, subject = capture.videos[job.part], capture.subject
+    video, subject = read_capture(job.capture, parts=(job.part,)).videos[job.part], job.subject
     if job.masks_off:
         video = replace(video, masks=redrawn(video, subject, pixels_off(video, job.masks_off)).masks)
     assert video.axis_angle is not None and video.root is not None

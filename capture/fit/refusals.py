@@ -5,13 +5,16 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy import ndimage
 
+from avatar.skeleton import JOINTS, PARTS
 from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import projected
 from capture.fit.solve import posed_frames
 from command.errors import AssetError
 
-# frames that have to show enough points, and how many those are
-FRAMES, POINTS = 3, 6
+# frames that have to show enough points, and how many those are: many detectors see nose, eyes and ears of a head
+FRAMES, POINTS = 3, {"body": 6, "head": 4, "hand_left": 6, "hand_right": 6}
+# the joint whose depth is a part's: below a hand near the lens a stiff body may hang behind it
+MIDDLES = {part: JOINTS.index(joint) for part, joint in zip(PARTS, ("pelvis", "head", "left_wrist", "right_wrist"))}
 # share of the points that lie on the person, or nearly
 ON_PERSON = 0.6
 # share of the picture's shorter side, that a point may lie beside the mask
@@ -28,10 +31,11 @@ def check_footage(part: str, footage: Footage) -> None:
     Raises:
         AssetError: too few frames show the part, or the points lie beside the person that the masks show.
     """
-    enough = (footage.sure > 0).sum(1) >= POINTS
+    points = POINTS[part]
+    enough = (footage.sure > 0).sum(1) >= points
     if enough.sum() < FRAMES:
         raise AssetError(
-            f"{part} video: keypoints should show {POINTS} points of the {part.replace('_', ' ')} or more in {FRAMES} "
+            f"{part} video: keypoints should show {points} points of the {part.replace('_', ' ')} or more in {FRAMES} "
             f"frames or more, do in {int(enough.sum())} of {len(enough)}"
         )
     reach = max(round(BESIDE * min(footage.size)), 1)
@@ -76,8 +80,8 @@ def check_fit(part: str, estimate: Estimate, footage: Footage) -> Bool[Array, "f
     if not (np.isfinite(estimate.g).all() and np.isfinite(estimate.root).all()):
         raise AssetError(f"{part} video: no person fits its keypoints: the equations have no finite solution")
     away = misfits(estimate, footage)
-    metre = estimate.camera(footage).K[0, 0] / np.median(-estimate.root[:, 2])
-    far = float(np.nanmedian(away)) / metre
+    depth = -posed_frames(estimate).place[:, MIDDLES[part], 2]
+    far = float(np.nanmedian(away * depth[:, None])) / estimate.camera(footage).K[0, 0]
     if not far <= FAR[part]:
         raise AssetError(
             f"{part} video: keypoints should lie within {100 * FAR[part]:g} cm of a person's (median), lie "

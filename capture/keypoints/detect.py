@@ -85,15 +85,18 @@ def frame_json(poses: People, hands: People, labels: Sequence[str], faces: Peopl
             [row | {"visibility": float(p.visibility)} for row, p in zip(rows(pose), pose)] for pose in poses
         ]
     for hand, label in zip(hands, labels):
-        out[f"{_side(hand, label, poses)}_hand_landmarks"] = rows(hand)
+        if poses:
+            out[f"{_side(hand, poses[0])}_hand_landmarks"] = rows(hand)
+        else:
+            # the reader knows by how fingers bend, and where that is not clear by the label
+            out.setdefault("hand_landmarks", []).append(rows(hand))
+            out.setdefault("handedness", []).append([{"category_name": label}])
     if faces:
         out["face_landmarks"] = rows(faces[0])
     return out
 
 
-def _side(hand: Sequence[Any], label: str, poses: People) -> str:
-    """Left or right: that of the body's wrist nearer to the hand's; without a body the label, which is of a mirror."""
-    if not poses:
-        return {"left": "right", "right": "left"}.get(label.lower(), "right")
-    wrists = {"left": poses[0][15], "right": poses[0][16]}
+def _side(hand: Sequence[Any], pose: Sequence[Any]) -> str:
+    """Left or right: that of the body's wrist nearer to the hand's."""
+    wrists = {"left": pose[15], "right": pose[16]}
     return min(wrists, key=lambda side: float(np.hypot(hand[0].x - wrists[side].x, hand[0].y - wrists[side].y)))

@@ -1,6 +1,7 @@
 """`selfscan import`: real captures, read into capture folders."""
 
 import argparse
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,13 @@ Frames = Annotated[int, AtLeast(1), AtMost(1_000_000), "most frames of a video"]
 class TotalSelfScanCommand:
     source: Annotated[Path, Option(positional=True, metavar="SRC"), "the subject's folder"]
     out: Annotated[Path, Option(positional=True, metavar="OUT"), "capture folder to write"]
-    frames: Frames = MOST_FRAMES
+    frames: Annotated[
+        int | None,
+        AtLeast(1),
+        AtMost(1_000_000),
+        Option(metavar="N"),
+        f"most frames of a video (default: the authors' where it is whole, else {MOST_FRAMES})",
+    ] = None
     body: Annotated[
         Path | None, Option(metavar="MODEL"), "the SMPL+H model of the fits (.pkl, .npz), for its skin weights"
     ] = None
@@ -116,14 +123,16 @@ marked, masks. Folders: docs/capture.md.""",
 
 
 def _detect(folder: Path, files: dict[str, Path], models: dict[str, Path]) -> None:
-    """Keypoints of videos by MediaPipe, a file each; those that are there are not found again."""
+    """Keypoints of videos by MediaPipe, a file each, as old as its video: those that are there are not found again."""
     videos = {part: open_video(path) for part, path in files.items()}
     folder.mkdir(exist_ok=True)
     for part, video in videos.items():
         path = folder / f"{part}.json"
-        if not path.exists():
+        filmed = video.path.stat().st_mtime_ns
+        if not path.exists() or path.stat().st_mtime_ns != filmed:
             frames = ((frame.time, frame.picture) for frame in read_frames(video))
             detect(path, progress(frames, f"keypoints of {video.name}", video.frames), models)
+            os.utime(path, ns=(filmed, filmed))
 
 
 def _import_video(command: VideoCommand) -> list[str]:

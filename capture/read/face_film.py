@@ -9,10 +9,10 @@ from numpy import ndarray as Array
 
 from avatar.body import builtin_body
 from avatar.motion.clip import spread_frames
-from capture.fit.face_film import fit_face, gains_of
+from capture.fit.face_film import FaceFit, fit_face, gains_of
 from capture.fit.mouth_color import mouth_colors
 from capture.keypoints.record import Keypoints
-from capture.own_face import FITTED, OwnFace
+from capture.own_face import FITTED, OwnFace, believed
 from capture.raw.four_videos import FACE_FILM, part_keypoints
 from capture.raw.video_file import VideoFile, open_video, read_frames
 
@@ -23,12 +23,19 @@ PICTURES, FOCAL = 12, 1.5
 class FaceFilm(NamedTuple):
     video: VideoFile
     keypoints: Keypoints
+    of_anybody: FaceFit  # as if it were the built-in person's
 
 
 def open_face_film(path: Path, keypoints: Path, like: str) -> FaceFilm:
-    """A film, with its keypoints out of the folder of all films'; errors: `open_video`, `part_keypoints`."""
+    """A film that shows a face, with its keypoints out of the folder of all films'.
+
+    Raises:
+        AssetError: `open_video`, `part_keypoints`, or too few frames show the face.
+    """
     video = open_video(path)
-    return FaceFilm(video, part_keypoints(keypoints, FACE_FILM, video, like))
+    points = part_keypoints(keypoints, FACE_FILM, video, like)
+    vertices, focal = builtin_body("male").vertices, FOCAL * min(video.size)
+    return FaceFilm(video, points, fit_face(vertices, points, video.size, focal, video.name))
 
 
 def own_face(film: FaceFilm, vertices: Float[Array, "vertices 3"], focal: float) -> tuple[OwnFace, list[str]]:
@@ -50,15 +57,15 @@ def own_face(film: FaceFilm, vertices: Float[Array, "vertices 3"], focal: float)
     gains = ", ".join(f"{name} {gain:.2f}" for name, gain, why in zip(FITTED, found.gains, found.why) if not why)
     said = [f"{video.name}: this face goes as far as the built-in one, times: {gains or 'none is shown'}"]
     said += [f"{video.name}: {name} stays as built in: {why}" for name, why in zip(FITTED, found.why) if why]
-    if teeth is None:
+    own = believed(found.gains, found.offsets, teeth, red)
+    if own.teeth is None:
         said.append(f"{video.name}: no open mouth shows teeth: they stay as built in")
-    return OwnFace(found.gains, found.offsets, teeth, red), said
+    return own, said
 
 
 def shown_line(film: FaceFilm) -> str:
     """What a film shows, in words, before the person is known."""
-    video = film.video
-    fit = fit_face(builtin_body("male").vertices, film.keypoints, video.size, FOCAL * min(video.size), video.name)
+    video, fit = film.video, film.of_anybody
     lacking = ", ".join(name for name, why in zip(FITTED, gains_of(fit, video.rate).why) if why)
     shows = f"not shown: {lacking}: film it again, or they stay as built in" if lacking else "all shapes are shown"
     (width, height), seconds = video.size, len(fit.frames) / video.rate

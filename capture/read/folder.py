@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from PIL import Image
 
 from avatar.camera import Camera, project, write_cameras
-from avatar.skeleton import PARTS, joint_transforms
+from avatar.skeleton import JOINTS, PARTS, joint_transforms
 from capture.folder import read_capture
 from capture.frame_files import sized_picture
 from capture.own_face import OWN_FACE, OwnFace
@@ -58,7 +58,7 @@ def write_capture(
             one; the person is not at a plausible distance; or what `read_capture` refuses.
     """
     for part, video in videos.items():
-        check_distance(part, video)
+        check_distance(part, video, template.joints)
     report, done = Progress("import", sum(len(video.images) for video in videos.values())), 0
     with whole_folder(out) as folder:
         write_template(folder / "subject.npz", template)
@@ -163,14 +163,15 @@ def anchored(
     return root + wanted - joint_transforms(axis_angle, template, root)[:, joint, :3, 3]
 
 
-def check_distance(part: str, video: SourceVideo) -> None:
+def check_distance(part: str, video: SourceVideo, joints: Float[Array, "52 3"]) -> None:
     """Refuse cameras that are implausibly far from what they film: millimetres for metres, or another world."""
-    if video.root is None:
+    if video.root is None or video.axis_angle is None:
         return
-    depth = np.array([project(c, r[None])[1][0] for c, r in zip(video.cameras, video.root)])
+    places = joint_transforms(video.axis_angle, joints, video.root)[:, ANCHORS[part], :3, 3]
+    depth = np.array([project(camera, place[None])[1][0] for camera, place in zip(video.cameras, places)])
     middle = float(np.median(depth))
     if not NEAREST <= middle <= FARTHEST:
         raise AssetError(
-            f"{video.place} should place the camera {NEAREST} to {FARTHEST} m from the person's pelvis ({part} video), "
-            f"places it at {middle:.4g} m: check millimetres and metres"
+            f"{video.place} should place the camera {NEAREST} to {FARTHEST} m from the person's "
+            f"{JOINTS[ANCHORS[part]]} ({part} video), places it at {middle:.4g} m: check millimetres and metres"
         )

@@ -53,7 +53,7 @@ AGREE = 0.03
 
 
 def import_totalselfscan(
-    source: Path, out: Path, *, body: Body | None = None, most: int = MOST_FRAMES
+    source: Path, out: Path, *, body: Body | None = None, most: int | None = None
 ) -> list[str]:
     """Write the capture folder of a subject; returns what was assumed, line by line.
 
@@ -80,17 +80,19 @@ def import_totalselfscan(
     return notes
 
 
-def _frames_of(count: int, part: str, most: int, notes: list[str]) -> Array:
-    """The frames to take: the authors' where the video is as long as the authors', else some, evenly spread."""
+def _frames_of(count: int, part: str, most: int | None, notes: list[str]) -> Array:
+    """The frames to take: the authors' where the video is as long as the authors', else some; `most`, evenly spread."""
     start, step, number = AUTHORS_FRAMES[part]
     whole = start + step * (number - 1) < count
-    frames = start + step * np.arange(number) if whole else spread_frames(count, most)
+    frames = start + step * np.arange(number) if whole else np.arange(count)
+    if most is not None or not whole:
+        frames = frames[spread_frames(len(frames), most or MOST_FRAMES)]
     notes.append(f"{part}: {len(frames)} of {count} frames, {frames[0]} to {frames[-1]}")
     return frames
 
 
 def _body_video(
-    folder: Path, most: int, notes: list[str], part: str, skeleton: AuthorsSkeleton, template: TemplateMesh
+    folder: Path, most: int | None, notes: list[str], part: str, skeleton: AuthorsSkeleton, template: TemplateMesh
 ) -> SourceVideo:
     path = folder / "annots.npy"
     annots = record(path, "cameras and frames")
@@ -195,7 +197,7 @@ def _check_surface(
         )
 
 
-def _head_video(folder: Path, most: int, notes: list[str]) -> SourceVideo:
+def _head_video(folder: Path, most: int | None, notes: list[str]) -> SourceVideo:
     images = pictures_in(folder / "images")
     odd = [path.name for path in images if not path.stem.isdecimal()]
     if odd:

@@ -92,7 +92,9 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
 def _work_folder(out: Path, given: VideoImport) -> Path:
     """OUT.partial, emptied if it belongs to other input."""
     work = out.with_name(out.name + ".partial")
-    files = [*given.videos.values(), given.keypoints, *(path for path in (given.masks, given.face) if path)]
+    named = [*given.videos.values(), given.keypoints, *(path for path in (given.masks, given.face) if path)]
+    # a folder's time says nothing of what is written over in it
+    files = [*named, *sorted(path for path in given.keypoints.rglob("*") if path.is_file())]
     stamp = {
         "files": [[str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns] for path in files],
         "frames": given.frames,

@@ -142,7 +142,11 @@ def test_a_step_that_raises_the_cost_is_taken_back_and_factors_are_small():
         equations.add(0, np.array([[1 / (1 + x**2)]]), np.array([-np.arctan(x)]), np.ones(1))
         return equations, float(np.arctan(x) ** 2)
 
-    assert abs(minimise(3.0, assemble, lambda x, own, shared: x + float(own[0, 0]), 60)) < 1e-3
+    moved = lambda x, own, shared: x + float(own[0, 0])
+    assert abs(minimise(3.0, assemble, moved, 60)) < 1e-3
+    # beyond 3 the cost is no number
+    beyond = lambda x: (assemble(x)[0], np.nan if abs(x) > 3 else assemble(x)[1])
+    assert abs(minimise(2.9, beyond, moved, 60)) < 1e-3
     matrix = grid_laplacian(12)
     truth = np.random.default_rng(0).normal(size=(12**3, 3))
     factors = factorised(matrix)

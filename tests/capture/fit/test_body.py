@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from turning_twin import in_clothes, limb_error, pixels_of, turning_twin
+from turning_twin import in_clothes, limb_error, pixels_of, turned_hand, turning_twin
 
 from avatar.rotation import axis_angle_from_matrix
 from capture.fit.body import first_guess, fit_keypoints, fit_outlines
@@ -152,6 +152,16 @@ def test_keypoints_beside_the_person_pictures_upside_down_and_fits_of_nothing_ar
     assert not usable[3] and usable.sum() == len(usable) - 1
     with pytest.raises(AssetError, match="body video: keypoints should lie within 6 cm of a person's"):
         check_fit("body", twin.truth, replace(twin.footage, pixels=twin.footage.pixels + 30))
+    # a hand's points are as far from the lens as the hand; its body may hang behind it
+    truth, footage = turned_hand("left")
+    assert check_fit("hand_left", truth, footage).all()
+    near = truth.root[:, 2].argmax()
+    truth = replace(
+        truth, root=truth.root[[near] * 4], heading=truth.heading[[near] * 4], angles=truth.angles[[near] * 4]
+    )
+    pixels = footage.pixels[[near] * 4] + 0.04 * footage.focal / 0.5 * np.array([0, 1])
+    with pytest.raises(AssetError, match="lie 4 cm off"):
+        check_fit("hand_left", truth, replace(footage.rows(np.array([near] * 4)), pixels=pixels))
 
 
 def seen_by(truth: float, own: float, doubt: float) -> tuple[float, float]:

@@ -19,6 +19,7 @@ from capture.fit.person import person_of
 from capture.fit.picture import fit_pose
 from capture.fit.points import body_points
 from capture.fit.priors import NECK, shared_layout, standing
+from capture.fit.refusals import check_footage
 from capture.fit.scan import STEPS, template_of
 from capture.fit.solve import assemble, moved, posed_frames, solve
 from capture.fit.trunk import SHOULDERS, trunk_angles
@@ -87,6 +88,19 @@ def test_head_is_followed_through_frames_that_show_no_face():
     neck = truth.person.body.joints[head.HEAD]
     x = cameras[0, :3, :3] @ neck + cameras[0, :3, 3]
     np.testing.assert_allclose(x, [0, 0, 0.7], atol=0.01)
+
+
+def test_nose_eyes_and_ears_alone_follow_a_head_all_round():
+    """What detectors of 17 points see of a head: of the far side neither eye nor ear, from behind nothing."""
+    truth, _, footage = once_round()
+    five, turn = [footage.names.index(name) for name in head.NAMES[:5]], 2 * np.pi * np.arange(FRAMES) / FRAMES
+    front, near, left, right = np.cos(turn) > -0.2, np.cos(turn) > 0.2, np.sin(turn) > 0.3, np.sin(turn) < -0.3
+    seen = np.stack([front, near | (left & front), near | (right & front), ~right, ~left], 1) & front[:, None]
+    few = replace(footage, names=head.NAMES[:5], pixels=footage.pixels[:, five], sure=2.0 * seen)
+    check_footage("head", in_clothes(replace(truth, bias=truth.bias[five]), few, 0.0))
+    found, _ = head.fit_keypoints(truth.person, truth.g, few)
+    off = degrees(truth.heading, found.heading)
+    assert off[front].max() < 4 and off[~front].max() < 8  # 180 where the way through the front is taken
 
 
 def nodding(degrees):
@@ -231,8 +245,7 @@ def gradient_of(estimate, footage, priors, terms, own, shared):
 def test_cost_changes_as_the_equations_say(what):
     rng = np.random.default_rng(3)
     truth, footage = turning_twin(5)
-    # smooth turns are weighed robustly, which the equations take as fixed
-    priors = replace(standing(truth, footage), smooth_heading=1e3)
+    priors = standing(truth, footage)
     estimate = replace(truth, angles=truth.angles + rng.normal(0, 0.1, truth.angles.shape),
                        bias=rng.normal(0, 0.01, truth.bias.shape), log_focal=0.03)  # fmt: skip
     chosen = rng.integers(0, len(truth.person.body.vertices), 40)

@@ -188,12 +188,23 @@ def test_off_measures_nothing_and_poses_that_an_import_fitted_are_left_alone_unl
     assert refine_capture(ours, tmp_path, "auto", print, run) == {}
     with pytest.raises(AssertionError, match="refined"):
         refine_capture(ours, tmp_path, "on", print, run)
+    # a subject that is dressed is what poses are moved by
+    dressed = replace(capture, subject=replace(capture.subject, joints=capture.subject.joints.copy()))
+    with pytest.raises(AssertionError, match="refined"):
+        refine_capture(
+            dressed,
+            tmp_path,
+            "on",
+            print,
+            lambda jobs, work: [run() for job in jobs.values() if job.subject is dressed.subject],
+        )
 
 
 def test_refined_poses_are_read_back_and_a_broken_file_is_refused(folder, capture, tmp_path):
+    job = RefineJob(str(folder), capture.subject, "hand_left", str(tmp_path))
     facts = refine_capture(
         capture, tmp_path, "on", lambda text: None,
-        lambda jobs, work: {"hand_left": refine_part(RefineJob(str(folder), "hand_left", str(tmp_path)), QUIET)},
+        lambda jobs, work: {"hand_left": refine_part(job, QUIET)},
     )  # fmt: skip
     assert facts["hand_left"]["outline_px"] < 2
     again = refine_capture(capture, tmp_path, "on", lambda text: None, lambda jobs, work: pytest.fail("done before"))

@@ -275,8 +275,12 @@ def test_results_of_mediapipes_tasks_are_written_as_its_files_and_read_back(tmp_
     assert found.seen("right_wrist")[0] == pytest.approx([52, 50, 0.7])
     assert found.seen("right_hand")[0] == pytest.approx([52, 50, 1]) and found.seen("left_hand")[0, 2] == 0
     assert not found.confidence[1].any()
-    # alone, a label is that of a mirrored picture
-    assert "left_hand_landmarks" in frame_json([], [hand], ["Right"], [])
+    # alone, its fingers say which hand it is, and where they do not its label
+    for label in ("Left", "Right"):
+        path.write_text(
+            json.dumps({"image_width": 200, "image_height": 100, "frames": [frame_json([], [hand], [label], [])]})
+        )
+        assert read_keypoints(path).seen(f"{label.lower()}_hand")[0, 2] == 1
 
 
 def test_detecting_says_what_is_missing(tmp_path, monkeypatch):

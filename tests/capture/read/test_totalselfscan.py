@@ -108,6 +108,8 @@ def test_frames_are_the_authors_where_the_video_is_as_long_else_evenly_spread():
     frames = _frames_of(1400, "body", 100, [])
     assert (frames[0], frames[-1], len(frames)) == (500, 1390, 90)
     assert _frames_of(1000, "body", 4, []).tolist() == [0, 333, 666, 999]
+    assert len(_frames_of(1400, "body", None, [])) == 90 and len(_frames_of(1000, "body", None, [])) == 100
+    assert _frames_of(1400, "body", 2, []).tolist() == [500, 1390]
 
 
 def test_masks_are_labels_or_0_and_1_and_jpeg_rings_are_no_person(tmp_path):

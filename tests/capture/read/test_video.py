@@ -1,6 +1,8 @@
 """Four videos of a painted figure become a capture folder; one of the body alone gives head and hands."""
 
 import json
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +10,7 @@ import numpy as np
 import pytest
 from filmed_figure import NAMES_OF_FILES, film_anew
 from PIL import Image
+from refusals import refused
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, pinhole, project
@@ -20,6 +23,8 @@ from capture.keypoints.record import Keypoints
 from capture.raw.four_videos import face_film, find_videos
 from capture.raw.scan import FittedScan, FittedVideo, RawVideo
 from capture.read.close_up import UNKNOWN, PartMasks
+from capture.read.command import _detect
+from capture.read.folder import SourceVideo, check_distance
 from capture.read.from_body import LEAST, cut_close_up
 from capture.read.places import landmark_vertices
 from capture.read.template import body_template
@@ -27,7 +32,7 @@ from capture.read.video import VideoImport, import_video
 from command.errors import AssetError
 from files.picture import read_picture
 from selfscan.__main__ import main
-from tests.turning_twin import in_clothes, turning_twin
+from tests.turning_twin import in_clothes, turned_hand, turning_twin
 
 
 def given(folder, **changed):
@@ -95,6 +100,30 @@ def test_the_rest_of_the_person_is_unknown_in_a_close_up(part):
     assert found[0, 119] == UNKNOWN and 0.1 < (found[:, 20:] == UNKNOWN).mean() < 0.95
 
 
+def test_keypoints_are_found_again_where_the_film_is_another(filmed_four, tmp_path, monkeypatch):
+    film, found = tmp_path / "body.mp4", []
+    shutil.copy(filmed_four / "body.mp4", film)
+    monkeypatch.setattr("capture.read.command.detect", lambda path, frames, models: found.append(path.write_text("{}")))
+    for changed in (False, False, True, False):
+        if changed:
+            os.utime(film, ns=(1, 1))
+        _detect(tmp_path / "points", {"body": film}, {})
+    assert len(found) == 2
+
+
+def test_a_hand_is_as_far_from_the_camera_as_its_wrist_wherever_its_body_hangs():
+    truth, footage = turned_hand("left")
+    fit = posed_video(truth, footage, np.ones(len(truth.root), bool), level=False)
+    joints, near = truth.person.body.joints, [int(truth.root[:, 2].argmax())] * 4
+    cameras = tuple(fit.cameras[i] for i in near)
+    video = SourceVideo((), (), False, cameras, fit.axis_angle[near], fit.root[near], place="left.mp4")
+    check_distance("hand_left", video, joints)
+    far = replace(video, root=video.root - 1e3 * (cameras[0].eye - video.root))
+    refused(
+        AssetError, r"^left.mp4 should place .* from the person's left_wrist", check_distance, "hand_left", far, joints
+    )
+
+
 @pytest.mark.slow
 def test_what_was_interrupted_goes_on_and_other_input_begins_anew(filmed_four, tmp_path, capsys):
     out = tmp_path / "capture"
@@ -115,6 +144,17 @@ def test_what_was_interrupted_goes_on_and_other_input_begins_anew(filmed_four, t
     with pytest.raises(KeyboardInterrupt):
         import_video(given(filmed_four, frames=6), out, stopped)
     assert len(list(work.rglob("*.png"))) == 2 * 4 * 6
+    # so do keypoints that were found again, in the same folder
+    shutil.copytree(filmed_four, tmp_path / "me")
+    for again in (False, True):
+        with pytest.raises(KeyboardInterrupt):
+            import_video(given(tmp_path / "me"), out, stopped)
+        assert ("goes on" in capsys.readouterr().out) == again
+    points = tmp_path / "me" / "keypoints" / "body.json"
+    points.write_text(points.read_text() + " ")
+    with pytest.raises(KeyboardInterrupt):
+        import_video(given(tmp_path / "me"), out, stopped)
+    assert "goes on" not in capsys.readouterr().out
 
 
 @pytest.mark.slow
