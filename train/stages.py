@@ -324,7 +324,7 @@ def _with_template(training: Training, subject: CaptureSubject) -> Capture:
 def _dressed(subject: CaptureSubject, capture: Capture, say: Callable[[str], None]) -> CaptureSubject:
     """The subject with loose clothes joined to it; where they cannot be joined it stays as it is, and that is said."""
     try:
-        return with_clothes(subject, capture.videos["body"])
+        return with_clothes(subject, capture.videos["body"], drawn_out=capture.fitted_here)
     except ValueError as error:
         say(f"clothes stand off the template and are left out (as by --without clothes): {error}")
         return subject

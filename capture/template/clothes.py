@@ -26,7 +26,8 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy import ndimage, sparse
 
-from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
+from avatar.body import builtin_body
+from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, dense_weights, skin_points, strongest_four, unskin_points
 from capture.folder import CaptureSubject, PartVideo
 from capture.template.grid import DistanceGrid, closed_surface, distance_grid, trilinear
@@ -54,6 +55,10 @@ SECTORS, HEM_REACH, ALL_ROUND = 24, 0.6, 0.8
 THICK = 0.011
 # metres of air between shell and skin that are filled, and how deep under the skin the shell ends
 GAP, UNDER = 0.02, 0.015
+# metres below a hem from which, and over which, a leg is as thick as outlines say, and above it, where hips lie on the
+# cloth; vertices at least of a ring of it
+BELOW, ABOVE, RING = 0.1, 0.08, 30
+LEGS = [[JOINTS.index(f"{side}_{joint}") for joint in ("hip", "knee", "ankle")] for side in ("left", "right")]
 # metres of cloth over which skin weights are smoothed
 BLEND = 0.1
 
@@ -67,16 +72,18 @@ class Cloth(NamedTuple):
     low: Float[Array, "3"]  # place of distance[0, 0, 0], metres
 
 
-def with_clothes(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
+def with_clothes(subject: CaptureSubject, body: PartVideo, *, drawn_out: bool = False) -> CaptureSubject:
     """The subject with loose clothes joined to its template; the subject itself, bit by bit, where there are none.
 
     Template faces inside the cloth are dropped; vertices keep their numbers. Clothes belong to the body part.
+    `drawn_out`: outlines moved the template, so a skirt's drew out the legs under it.
 
     Raises:
         ValueError: there are clothes, and the pose that the video holds does not lead to the canonical one.
     """
     pose, views = held_pose(body, subject)
     canonical_to_pose = skin_transforms(pose, subject.joints, np.zeros(3))
+    canonical_from_rest = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))
     posed = replace(subject, vertices=skin_points(subject.vertices, subject.skin, canonical_to_pose))
     cloud = surface_cloud(posed, PARTS.index("body"), visible_faces(subject), CELL, CELL)
     margin = np.array([FARTHEST + 0.02, 0.06, FARTHEST + 0.02])
@@ -86,8 +93,17 @@ def with_clothes(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
     loose = standing_off(views, coarse, cloud)
     if not loose.any():
         return subject
+    hem = float(coarse.low[1] + coarse.cell * (hem_level(loose) - 0.5))
+    if drawn_out:
+        rest = slim_legs(subject, posed.vertices[:, 1] - hem)
+        vertices = skin_points(rest, subject.skin, canonical_from_rest)
+        subject = replace(
+            subject, rest=rest, vertices=np.where((rest != subject.rest).any(1)[:, None], vertices, subject.vertices)
+        )
+        posed = replace(subject, vertices=skin_points(subject.vertices, subject.skin, canonical_to_pose))
+        cloud = surface_cloud(posed, PARTS.index("body"), visible_faces(subject), CELL, CELL)
     template = distance_grid(cloud, low, high, CELL)
-    cloth = carve(views, template, coarse, loose)
+    cloth = carve(views, template, coarse, loose, hem)
     vertices, faces = closed_surface(cloth.distance, cloth.low, FINE, FINE)
     # what of the cloth lies under the skin is no surface, and what of the skin lies in the cloth neither
     under = template.at(vertices[faces].mean(1)).astype(np.float64)
@@ -98,7 +114,6 @@ def with_clothes(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
     skin = cloth_weights(mesh, cloud)
     canonical, settled = unskin_points(mesh.vertices, skin, canonical_to_pose)
     # what the big pose's blend takes to there; other bones' blend, it is not where pose 0 shows it
-    canonical_from_rest = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))
     rest, fine = unskin_points(canonical, skin, canonical_from_rest)
     if not (settled & fine).all():
         raise ValueError(
@@ -136,17 +151,54 @@ def standing_off(views: Sequence[MaskView], template: DistanceGrid, cloud: Surfa
     return large_pieces(held, template.cell, LEAST, distance >= REACHES)
 
 
+def slim_legs(subject: CaptureSubject, over: Float[Array, "vertices"]) -> Float[Array, "vertices 3"]:
+    """The template in pose 0, its legs under a hem as thick, beside the free body's, as they are below it.
+
+    `over`: metres over the hem. The outline of a skirt is taken for that of the thighs, and draws them out.
+    """
+    body, rest = builtin_body("male"), subject.rest.copy()
+    if not subject.on_free_body:
+        return rest
+    count = len(body.vertices)
+    over, weights = over[:count], dense_weights(subject.skin.of(slice(count)))
+    for chain in LEGS:
+        own = weights[:, chain[:2]].sum(1)
+        middle, away = _beside_bones(rest[:count], subject.joints[chain])
+        thick = np.linalg.norm(away, axis=1)
+        by = thick / np.maximum(np.linalg.norm(_beside_bones(body.vertices, body.joints[chain])[1], axis=1), 1e-4)
+        below = (own > 0.5) & (over > -2 * BELOW) & (over < -BELOW)
+        if below.sum() < RING:
+            continue
+        slim = np.minimum(np.median(by[below]) / by, 1)
+        share = np.clip(2 * own - 1, 0, 1) * np.clip(np.minimum(over + BELOW, ABOVE - over) / (0.5 * BELOW), 0, 1)
+        rest[:count] += (share * (slim - 1))[:, None] * away
+    return rest
+
+
+def _beside_bones(
+    points: Float[Array, "n 3"], joints: Float[Array, "3 3"]
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """The nearest place on two bones in a row, and the way from there to each point."""
+    found = []
+    for start, end in zip(joints[:-1], joints[1:]):
+        bone = end - start
+        along = np.clip((points - start) @ bone / (bone @ bone), 0, 1)
+        found.append(start + along[:, None] * bone)
+    nearer = np.argmin([np.linalg.norm(points - places, axis=1) for places in found], 0)
+    middle = np.where(nearer[:, None] == 0, *found)
+    return middle, points - middle
+
+
 def carve(
-    views: Sequence[MaskView], template: DistanceGrid, coarse: DistanceGrid, loose: Bool[Array, "x y z"]
+    views: Sequence[MaskView], template: DistanceGrid, coarse: DistanceGrid, loose: Bool[Array, "x y z"], hem: float
 ) -> Cloth:
-    """What the views hold within AROUND of the `loose` cells of the coarse grid, down to its hem, as a shell."""
+    """What the views hold within AROUND of the `loose` cells of the coarse grid, down to the hem, as a shell."""
     near = distance_to(loose) * coarse.cell < AROUND
     index = np.argwhere(near)
     low = coarse.low + coarse.cell * (index.min(0) - 1.0)
     shape = tuple(np.ceil(coarse.cell * (np.ptp(index, axis=0) + 2) / FINE).astype(int) + 1)
     cells = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), -1).reshape(-1, 3)
     distance = template.at(low + FINE * cells).astype(np.float64).reshape(shape)
-    hem = coarse.low[1] + coarse.cell * (hem_level(loose) - 0.5)
     above = low[1] + FINE * np.arange(shape[1]) > hem
     asked = np.argwhere((distance > 0) & (distance < FARTHEST) & above[:, None])
     places = low + FINE * asked
