@@ -160,7 +160,7 @@ def slim_legs(subject: CaptureSubject, over: Float[Array, "vertices"]) -> Float[
     if not subject.on_free_body:
         return rest
     count = len(body.vertices)
-    over, weights = over[:count], dense_weights(subject.skin.of(slice(count)))
+    over, weights = over[:count], dense_weights(subject.skin)[:count]
     for chain in LEGS:
         own = weights[:, chain[:2]].sum(1)
         middle, away = _beside_bones(rest[:count], subject.joints[chain])

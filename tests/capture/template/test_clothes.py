@@ -10,10 +10,10 @@ from scipy.spatial import KDTree
 
 from avatar.camera import Camera, look_at, pinhole
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from avatar.skinning import dense_weights, skin_points
 from capture.folder import CaptureSubject, PartVideo, read_subject, write_subject
-from capture.template.clothes import THICK, with_clothes
+from capture.template.clothes import THICK, slim_legs, with_clothes
 from capture.template.solid import template_behind_cloth
 from geometry.mesh import half_edges, vertex_normals
 from geometry.rasterise import rasterise
@@ -21,6 +21,7 @@ from geometry.sample import lattice_samples
 
 FRAMES, SIZE = 36, 160
 # metres, y and radius of the cone's rings: waist and hem
+KNEES = [JOINTS.index(f"{side}_knee") for side in ("left", "right")]
 CONE = ((0.06, 0.17), (-0.46, 0.33))
 
 
@@ -103,6 +104,24 @@ def test_the_skirt_is_a_shell_open_below_with_the_legs_left_inside(subject, dres
     legs = (subject.rest[:, 1] < -0.15) & (np.abs(subject.rest[:, 0]) < 0.3)
     own = dressed.faces[(dressed.faces < count).all(1)]
     assert np.isin(np.flatnonzero(legs), own).mean() > 0.97
+
+
+def test_legs_that_a_skirts_outline_drew_out_are_under_the_hem_as_thick_as_below_it(subject):
+    rest, hem = subject.rest, CONE[1][0]
+    over = rest[:, 1] - hem
+    thick = lambda points, joints: np.linalg.norm(
+        points[:, [0, 2]] - np.where(points[:, :1] > 0, joints[KNEES[0], [0, 2]], joints[KNEES[1], [0, 2]]), axis=1
+    )
+    legs = (np.abs(over) < 0.05) & (np.abs(rest[:, 0]) < 0.3)
+    out = np.clip(1 - np.abs(over - 0.05) / 0.12, 0, 1)[:, None] * [1, 0, 1] * vertex_normals(rest, subject.faces)
+    drawn = replace(subject, rest=rest + 0.03 * out)
+    slim = slim_legs(drawn, over)
+    before, after = (thick(at, subject.joints)[legs] - thick(rest, subject.joints)[legs] for at in (drawn.rest, slim))
+    assert before.mean() > 0.015 and np.abs(after).mean() < 0.008  # beside the other sex's
+    # hips, feet and arms stay where they are, and legs that nothing drew out nearly so
+    far = (over > 0.1) | (over < -0.11)
+    np.testing.assert_array_equal(slim[far], drawn.rest[far])
+    assert np.abs(slim_legs(subject, over) - rest).max() < 0.015
 
 
 def test_what_cloth_hides_is_marked_also_in_the_file(subject, dressed, tmp_path):
