@@ -21,7 +21,7 @@ from bake.cone import view_cone
 from bake.face.face import with_face
 from bake.face.template import FaceRefused, person_face
 from bake.field import NumpyField, numpy_field, one_thread
-from bake.layers import SurfaceLayer, collapsed, extract_layers, layered_data, layers_of
+from bake.layers import SurfaceLayer, collapsed, extract_layers, layer_hints, layered_data, layers_of
 from bake.level import (
     NECK_JOINTS,
     BakedLevel,
@@ -183,7 +183,8 @@ def extracted(
         asked = numpy_field(field)
         layers = layers_of(asked, run.subject, origin)
         try:
-            extraction = extract_layers(layers, origin, origin.part != PARTS.index("body"), steps, asked.details)
+            hints = layer_hints(origin, run.subject, given_up, len(layers))
+            extraction = extract_layers(layers, hints, steps, asked.details)
             broken = broken_parts(extraction.mesh, origin.vertices, origin.part)
         except AssetError as fault:
             if run.with_templates is None or len(given_up) == len(PARTS):

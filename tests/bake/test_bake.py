@@ -122,6 +122,16 @@ def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small
     assert asked == [{"hand_left"}] and found.given_up == {"hand_left": "why"}
 
 
+def test_a_head_that_was_given_up_is_whole_again_where_it_had_learned_to_be_thinner(run, small):
+    head = run.surface.part == PARTS.index("head")
+    thin = np.where(head[:, None], run.surface.vertices - 0.04 * run.surface.normals, run.surface.vertices)
+    source = replace(run, surface=replace(run.surface, vertices=thin), with_templates=lambda names: run.field)
+    found = extracted(source, run_surface(source.surface), small, _Clock(lambda line: None), {"head": "why"})
+    mesh = found.extraction.mesh
+    away = closest_points(run.surface.vertices[head], triangle_index(mesh.vertices, mesh.faces)).distance
+    assert away.max() < 1e-3
+
+
 def test_a_part_that_was_given_up_is_measured_where_the_extracted_surface_has_it(run):
     origin = run_surface(run.surface)
     hand = origin.part == PARTS.index("hand_left")
