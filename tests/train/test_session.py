@@ -205,6 +205,10 @@ def test_a_capture_is_known_by_its_content_not_by_its_place(tmp_path):
         (tmp_path / name / "truth").mkdir()
         (tmp_path / name / "head/cameras.npz").write_bytes(b"cameras")
         (tmp_path / name / "truth/rest.npz").write_bytes(name.encode())
+    # a desktop's note, and a training into the capture itself
+    (tmp_path / "b/head/.DS_Store").write_bytes(b"icons")
+    (tmp_path / "b/run.partial").mkdir()
+    (tmp_path / "b/run.partial/body.ckpt").write_bytes(b"hours of work")
     assert capture_digest(tmp_path / "a") == capture_digest(tmp_path / "b")
     (tmp_path / "b/head/cameras.npz").write_bytes(b"Cameras")
     assert capture_digest(tmp_path / "a") != capture_digest(tmp_path / "b")
