@@ -28,8 +28,6 @@ from train.deform import apply_rows, canonical_from_posed, inverse_transforms
 
 # metres round the samples of a rigid head in which the nearest of them is looked up
 BESIDE = 0.045
-# steps of a ray at most
-STEPS = 72
 
 
 @dataclass(frozen=True)
@@ -150,7 +148,8 @@ def march(
         t[waiting] += np.maximum(jump, 0)
         waiting = waiting[(jump > 0.3 * reach) & (t[waiting] < far[waiting])]
     active = active[t[active] < far[active]]
-    for _ in range(STEPS):
+    # a ray along an arm stays in the band for some hundred steps, and is through the box in these
+    for _ in range(int((far - t)[active].max(initial=0) / band.step) + 2):
         if len(active) == 0:
             break
         points = origins[active] + t[active, None] * directions[active]

@@ -78,6 +78,17 @@ def test_a_ray_that_grazes_surface_or_band_has_steps_in_the_band_or_none(ball, l
     assert (distance <= BAND.outside * 1.002).all()
 
 
+def test_a_ray_along_a_limb_is_followed_to_what_it_meets():
+    """A metre over a strip, 2 cm off it, onto a wall."""
+    across, along, up = np.arange(-0.03, 0.03, 0.004), np.arange(0, 1, 0.004), np.arange(-0.1, 0.1, 0.004)
+    strip, wall = (np.stack(np.meshgrid(across, other), -1).reshape(-1, 2) for other in (along, up))
+    points = np.concatenate([np.insert(strip, 1, -0.02, 1), np.insert(wall, 2, 1.0, 1)])
+    normals = np.concatenate([np.tile([0.0, 1, 0], (len(strip), 1)), np.tile([0.0, 0, -1], (len(wall), 1))])
+    (_, t, distance, _), *_ = _march(Samples(points, normals, np.full(len(points), 0.004)), [0, 0, -1], [0, 0, 1])
+    np.testing.assert_allclose(np.diff(t), BAND.step)
+    assert len(t) > 200 and distance[-1] <= -BAND.inside
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
