@@ -172,6 +172,15 @@ def test_each_promise_missed_is_one_line_with_what_to_do():
     assert "20.0 MB, promised are at most 12" in lines[2] and "--texture" in lines[2]
 
 
+def test_no_more_triangles_are_advised_than_can_be_baked():
+    (line,) = missed_promises(facts_with(34.7), BakeOptions(faces=120_000), 7_000_000)
+    assert "--faces 150000" in line
+    (line,) = missed_promises(facts_with(34.7), BakeOptions(faces=150_000), 7_000_000)
+    assert "--faces" not in line and "selfscan inspect" in line
+    with pytest.raises(ValueError, match="faces: expected at most 150000"):
+        BakeOptions(faces=240_000)
+
+
 def test_textures_from_the_videos_promise_to_be_nearer_to_them_than_the_field_is():
     """Far from the field is what they are for."""
     facts = facts_with(34.71) | {"texture_from": "videos", "videos": {"head": {"rms_before": 9.0, "rms_after": 4.0}}}
