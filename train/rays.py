@@ -23,6 +23,7 @@ from avatar.skinning import SkinWeights, skin_normals, skin_points
 from capture.folder import CaptureSubject, PartVideo
 from capture.template.parts import Part
 from capture.template.surface import SampleGrid, SurfaceCloud, sample_grid, signed
+from command.errors import AssetError
 from geometry.cells import distance_to
 from train.deform import apply_rows, canonical_from_posed, inverse_transforms
 
@@ -279,7 +280,7 @@ def part_rays(
     passes by, when its closest approach lies in the box (FRAMES.md). Sections never leave the box.
 
     Raises:
-        ValueError: no ray meets the template in the box.
+        AssetError: no ray meets the template in the box.
     """
     part, cloud, count = filmed.part, filmed.cloud, len(filmed.video.masks)
     grid = sample_grid(cloud.points, part.extent.low - 0.02, part.extent.high + 0.02, cloud.spacing)
@@ -291,7 +292,10 @@ def part_rays(
             bones.append(posed.bones)
     kept = [one.rays for one in frames if one.rays is not None]
     if not kept:
-        raise ValueError(f"no ray of the {filmed.video.part} video meets the template inside the {part.name} box")
+        raise AssetError(
+            f"the {filmed.video.part} video: no ray meets the template inside the {part.name} box, nothing can be "
+            "learned from it; `selfscan check` shows how its masks, cameras and poses fit"
+        )
     put = lambda array: torch.as_tensor(np.ascontiguousarray(array)).to(device)
     ends, row, direction, of_frame, color, on = (put(np.concatenate(columns)) for columns in zip(*kept))
     quaternions = put(np.stack(bones).astype(np.float32)) if bones else None

@@ -12,6 +12,7 @@ from turning_capture import with_video
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
 from capture.template.parts import Box
 from capture.template.surface import surface_cloud
+from command.errors import AssetError
 from train.deform import canonical_directions
 from train.objective import Batch, losses
 from train.rays import Band, Samples, StillSamples, march
@@ -185,7 +186,7 @@ def test_odd_masks_train_to_finite_numbers(turning, cloud, kind):
 
 def test_masks_without_a_person_are_refused_by_the_video(turning, cloud):
     nobody = with_video(turning, "hand_left", masks=np.zeros_like(turning.videos["hand_left"].masks))
-    with pytest.raises(ValueError, match="no ray of the hand_left video meets the template inside the hand_left box"):
+    with pytest.raises(AssetError, match=r"the hand_left video: no ray meets the template .* `selfscan check`"):
         _rays(nobody, cloud)
 
 

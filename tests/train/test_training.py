@@ -274,6 +274,13 @@ def test_the_surface_is_the_skin_although_the_field_is_hollow_and_a_pinhole_lead
     assert trimesh.Trimesh(vertices, faces, process=False).volume > 0.03  # m³; negative where triangles face inwards
 
 
+def test_a_field_without_a_surface_is_one_line_with_what_to_look_at(capture):
+    nowhere = Hollow(capture.subject)
+    nowhere.distance = lambda points: torch.ones(len(points))
+    with pytest.raises(AssetError, match="its distance is positive everywhere; `selfscan check`"):
+        extract_surface(nowhere, part_boxes(capture.subject), capture.subject, (0.05, 0.05, 0.05))
+
+
 def test_a_part_that_breaks_off_is_said_while_it_trains_and_when_it_is_whole_again(hand, tmp_path, monkeypatch):
     make, rays = hand
     field, preset = make(), replace(TINY, parts=(replace(TINY.parts[2], iterations=40),))
