@@ -9,7 +9,9 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -18,6 +20,7 @@ from sphere_field import assert_same_bits
 from command.errors import AssetError
 from command.settings import SettingsSource, record_of, settings_json
 from files.whole import whole_folder
+from train import stages
 from train.command import ITEM_NAMES, PRESET_NAMES, TrainOptions
 from train.distributed import ONE_PROCESS, Ranks
 from train.log import TrainingLog
@@ -312,6 +315,21 @@ def test_torchrun_trains_from_the_command_line_like_one_process(tiny_capture, tm
         for first, second in zip(*(log[1:] for log in logs), strict=True):
             one, two = ([float(value) for value in row.split(",")] for row in (first, second))
             assert two[0] == one[0] and two[3] == pytest.approx(one[3], rel=2e-3)
+
+
+def test_one_rank_alone_writes_the_parts_that_are_not_learned(tmp_path, monkeypatch):
+    facts, found = {"head": {"steps": 0}}, []
+    training = SimpleNamespace(
+        ranks=Ranks(1, 2), preset=SimpleNamespace(learned=()), session=SimpleNamespace(partial=tmp_path)
+    )
+    training.from_writer = partial(stages.Training.from_writer, training)
+    monkeypatch.setattr(Ranks, "broadcast", lambda ranks, thing: facts)
+    monkeypatch.setattr(stages, "begin", lambda *_: training)
+    monkeypatch.setattr(stages, "prepared", lambda training: training)
+    monkeypatch.setattr(stages, "seen_parts", lambda *_: pytest.fail("another rank writes them"))
+    monkeypatch.setattr(stages, "finish", lambda training, facts: found.append(facts))
+    train(TrainOptions(capture=tmp_path, out=tmp_path / "run"), DEMO)
+    assert found == [facts]
 
 
 def test_the_shares_of_a_batch_are_the_batch():

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -111,6 +112,21 @@ def test_a_broken_checkpoint_is_refused_and_a_folder_that_is_no_run(hand, tmp_pa
     refused(FloatingPointError, "not finite", lambda: train_field(field, poisoned, by()))
     assert_same_bits(field.state_dict(), before)
     refused(AssetError, r"run\.json: no such file", run_folder.read_run, tmp_path)
+
+
+def test_a_part_is_written_whole_or_stays_what_it_was(hand, tmp_path, monkeypatch):
+    path = tmp_path / "hand_left.pt"
+    run_folder.write_part(path, hand[0]())
+    before = path.read_bytes()
+
+    def torn(content, file):
+        file.write(before[:100])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(torch, "save", torn)
+    with pytest.raises(KeyboardInterrupt):
+        run_folder.write_part(path, hand[0]())
+    assert path.read_bytes() == before and os.listdir(tmp_path) == [path.name]
 
 
 def planted(*steps):
