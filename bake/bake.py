@@ -234,7 +234,7 @@ def unseen_lines(run: BakeSource, surface: SourceSurface, *, collar: bool) -> li
 
 
 def written(avatar: Avatar, out: Path, facts: Facts, options: BakeOptions, clock: "_Clock") -> Avatar:
-    """Write the avatar with its facts and, where it has one, its network; say which promises it missed."""
+    """Write the avatar with its facts and the network beside it, where it has one; say which promises it missed."""
     if options.twist:
         facts["twist"] = True
         avatar = with_twist(avatar)
@@ -243,8 +243,12 @@ def written(avatar: Avatar, out: Path, facts: Facts, options: BakeOptions, clock
     facts["missed"] = missed_promises(facts, options, out.stat().st_size)
     if facts["missed"]:
         write_avatar(out, avatar)
+    network = out.with_suffix(".onnx")
     if avatar.network is not None:
-        write_onnx(out.with_suffix(".onnx"), avatar.network)
+        write_onnx(network, avatar.network)
+    else:
+        # that of an earlier bake would be taken for this avatar's
+        network.unlink(missing_ok=True)
     clock(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
     for line in facts["missed"]:
         clock.report(f"missed: {line}")

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tiny_avatar import tiny_avatar
 
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
@@ -18,6 +19,7 @@ from bake.bake import (
     run_surface,
     shown_surface,
     unseen_lines,
+    written,
 )
 from bake.promises import missed_promises
 from command.errors import AssetError
@@ -160,6 +162,13 @@ def test_a_neck_that_the_heads_video_shows_is_not_said_to_be_unseen(run):
     surface = run_surface(neck.surface)
     without, shown = (" ".join(unseen_lines(neck, surface, collar=collar)) for collar in (False, True))
     assert "the neck" in without and shown == ""
+
+
+def test_the_network_of_an_earlier_avatar_does_not_stay_beside_one_without(tmp_path):
+    out, options = tmp_path / "a.glb", BakeOptions()
+    for avatar in (tiny_avatar(), tiny_avatar(network=None, default_view="linear")):
+        written(avatar, out, facts_with(), options, _Clock(lambda line: None))
+        assert out.with_suffix(".onnx").exists() == (avatar.network is not None)
 
 
 def test_each_promise_missed_is_one_line_with_what_to_do():

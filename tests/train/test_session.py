@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -200,6 +201,12 @@ def test_two_processes_do_not_train_into_one_folder(tiny_capture, tmp_path):
     assert list(tmp_path.iterdir()) == []
     with exclusive_lock(out):  # the lock went with its holder
         pass
+
+
+@pytest.mark.parametrize("out", [".", "/"])
+def test_a_run_folder_has_a_name(tmp_path, out):
+    with pytest.raises(ValueError, match=f"-o should name a run folder to make, is {re.escape(out)}"):
+        TrainOptions(capture=tmp_path, out=Path(out))
 
 
 def test_a_capture_is_known_by_its_content_not_by_its_place(tmp_path):
