@@ -21,7 +21,7 @@ from bake.cone import view_cone
 from bake.face.face import with_face
 from bake.face.template import FaceRefused, person_face
 from bake.field import NumpyField, numpy_field, one_thread
-from bake.layers import SurfaceLayer, collapsed, extract_layers, layered_data, layers_of
+from bake.layers import SurfaceLayer, collapsed, extract_layers, layer_hints, layered_data, layers_of
 from bake.level import (
     NECK_JOINTS,
     BakedLevel,
@@ -183,7 +183,8 @@ def extracted(
         asked = numpy_field(field)
         layers = layers_of(asked, run.subject, origin)
         try:
-            extraction = extract_layers(layers, origin, origin.part != PARTS.index("body"), steps, asked.details)
+            hints = layer_hints(origin, run.subject, given_up, len(layers))
+            extraction = extract_layers(layers, hints, steps, asked.details)
             broken = broken_parts(extraction.mesh, origin.vertices, origin.part)
         except AssetError as fault:
             if run.with_templates is None or len(given_up) == len(PARTS):
@@ -233,7 +234,7 @@ def unseen_lines(run: BakeSource, surface: SourceSurface, *, collar: bool) -> li
 
 
 def written(avatar: Avatar, out: Path, facts: Facts, options: BakeOptions, clock: "_Clock") -> Avatar:
-    """Write the avatar with its facts and, where it has one, its network; say which promises it missed."""
+    """Write the avatar with its facts and the network beside it, where it has one; say which promises it missed."""
     if options.twist:
         facts["twist"] = True
         avatar = with_twist(avatar)
@@ -242,8 +243,12 @@ def written(avatar: Avatar, out: Path, facts: Facts, options: BakeOptions, clock
     facts["missed"] = missed_promises(facts, options, out.stat().st_size)
     if facts["missed"]:
         write_avatar(out, avatar)
+    network = out.with_suffix(".onnx")
     if avatar.network is not None:
-        write_onnx(out.with_suffix(".onnx"), avatar.network)
+        write_onnx(network, avatar.network)
+    else:
+        # that of an earlier bake would be taken for this avatar's
+        network.unlink(missing_ok=True)
     clock(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
     for line in facts["missed"]:
         clock.report(f"missed: {line}")

@@ -3,19 +3,21 @@
 A person without hanging hair has one layer, which is the field as it is.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer
+from jaxtyping import Float, Integer
 from numpy import ndarray as Array
 
+from avatar.skeleton import PARTS
 from bake.cone import ViewCone
 from bake.field import NumpyField
 from bake.level import LayeredMesh, SourceSurface, TransferredData, transferred_data
 from capture.folder import CaptureSubject
-from capture.template.layers import BODY, HAIR, LEAST_HAIR, hair_layers
+from capture.template.layers import BODY, HAIR, LEAST_HAIR, carved_faces, hair_layers, without_hair
 from capture.template.solid import solid_inside, template_behind_cloth
+from capture.template.surface import visible_faces
 from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged
 from geometry.isosurface import Detail, Extraction, GridSteps, Hints, PointFunction, extract
 from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas, restricted, vertex_normals
@@ -41,18 +43,40 @@ def layers_of(field: NumpyField, subject: CaptureSubject, origin: SourceSurface)
     return [SurfaceLayer(divided.distance(k, whole), divided.distance(k, distance), normal(k)) for k in (BODY, HAIR)]
 
 
+def layer_hints(origin: SourceSurface, subject: CaptureSubject, given_up: Collection[str], count: int) -> list[Hints]:
+    """Where the surface of each of `count` layers is looked for: on the run's, and in parts that were given up on the
+    outside of the template, which what they learned may lie deep inside of."""
+    moved, body = [PARTS.index(part) for part in given_up], PARTS.index("body")
+    outside = outer_faces(subject, count) if moved else [np.zeros((0, 3), np.int64)] * count
+    facing, out = vertex_normals(origin.vertices, origin.faces), []
+    for k, faces in enumerate(outside):
+        own = (origin.layer == k) & ~np.isin(origin.part, moved)
+        back = np.unique(faces)
+        back = back[np.isin(subject.part[back], moved)]
+        part = np.concatenate([origin.part[own], subject.part[back]])
+        normals = np.concatenate([facing[own], vertex_normals(subject.vertices, faces)[back]])
+        out.append(Hints(np.concatenate([origin.vertices[own], subject.vertices[back]]), part != body, normals))
+    return out
+
+
+def outer_faces(subject: CaptureSubject, count: int) -> list[Integer[Array, "faces 3"]]:
+    """The faces of the template that each of `count` layers shows."""
+    if count == 1:
+        return [subject.faces[visible_faces(subject)]]
+    skin = without_hair(subject)
+    return [skin.faces[visible_faces(skin)], subject.faces[carved_faces(subject)]]
+
+
 def extract_layers(
-    layers: list[SurfaceLayer], origin: SourceSurface, fine: Bool[Array, "vertices"], steps: GridSteps,
-    details: Sequence[Detail] = (),
-) -> Extraction:  # fmt: skip
+    layers: list[SurfaceLayer], hints: list[Hints], steps: GridSteps, details: Sequence[Detail] = ()
+) -> Extraction:
     """The zero sets of all layers as one mesh; vertices know their layer. Details are the body's."""
-    found, facing = [], vertex_normals(origin.vertices, origin.faces)
-    for k, layer in enumerate(layers):
-        own = origin.layer == k
+    found = []
+    for k, (layer, near) in enumerate(zip(layers, hints, strict=True)):
         found.append(
             extract(
-                layer.solid, layer.normal, Hints(origin.vertices[own], fine[own], facing[own]), steps,
-                least=LEAST_HAIR if k == HAIR else None, details=details if k == BODY else (),
+                layer.solid, layer.normal, near, steps, least=LEAST_HAIR if k == HAIR else None,
+                details=details if k == BODY else (),
             )
         )  # fmt: skip
     if len(found) == 1:

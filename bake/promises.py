@@ -3,7 +3,7 @@
 from typing import Any, TypeAlias
 
 from avatar.baked_avatar import Avatar
-from bake.options import BakeOptions
+from bake.options import MOST_FACES, BakeOptions
 
 # what the file's provenance says of a bake: JSON's values by name
 Facts: TypeAlias = dict[str, Any]
@@ -38,9 +38,12 @@ def missed_promises(facts: Facts, options: BakeOptions, size: int) -> list[str]:
     if by_field and against["paper_db"] is not None and against["paper_db"] < PAPER_DB:
         views = against["per_view_db"]
         worst = min((name for name, db in views.items() if db is not None), key=lambda name: views[name])
+        more = min(2 * options.faces, MOST_FACES)
         lines.append(
             f"{against['paper_db']:.1f} dB against the field, promised are {PAPER_DB:g} (worst view: {worst}, "
-            f"{views[worst]:.1f} dB): try --faces {2 * options.faces}; `selfscan inspect` shows where it differs"
+            f"{views[worst]:.1f} dB): "
+            + (f"try --faces {more}; " if more > options.faces else "")
+            + "`selfscan inspect` shows where it differs"
         )
     for number, level in enumerate(facts["levels"]):
         steps = [mip["seen_p99"] for mip in level["seam_step"]["mips"]]

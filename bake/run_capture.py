@@ -11,6 +11,7 @@ from avatar.light import CaptureLight
 from bake.promises import Facts
 from capture.fit.refine import with_refined
 from capture.folder import Capture, PartVideo, read_capture
+from capture.light.frames import light_from_video
 from capture.own_face import OwnFace
 from command.errors import AssetError
 from train.run import lights_of, matrix_of
@@ -26,7 +27,8 @@ class RunVideos:
     # run folder with refined poses of just these videos; None: the capture's own poses
     refined: Path | None
     head_from_canonical: Float[Array, "4 4"]
-    # by the part of each video; empty: what is seen holds the light
+    # by the part of each video, the head's in the canonical frame if not in its camera's; empty: what is seen holds
+    # the light
     lights: dict[str, CaptureLight]
     # poses were estimated, not made: frames may show things beside their places
     estimated: bool
@@ -68,14 +70,28 @@ def run_videos(path: Path, facts: Facts, given: Path | None) -> RunVideos:
         raise AssetError(f"{folder}: expected the capture that {path} was trained on ({digest}), found another: {ways}")
     capture = read_capture(folder, parts=("head",), frames_on_demand=True)
     estimated = capture.facts.get("pose_noise_deg") != 0
+    refined, head_from_canonical = path if same else None, matrix_of(path, facts, "head_from_canonical")
+    lights = lights_of(path, facts)
+    if lights and lights["head"].frame == "world":
+        lights["head"] = _canonical_light(lights["head"], folder, refined, np.linalg.inv(head_from_canonical))
     videos = RunVideos(
-        folder, path if same else None, matrix_of(path, facts, "head_from_canonical"), lights_of(path, facts),
-        estimated, capture.chin if estimated else None, capture.videos["head"].trunk is not None,
-        capture.own_face,
+        folder, refined, head_from_canonical, lights, estimated, capture.chin if estimated else None,
+        capture.videos["head"].trunk is not None, capture.own_face,
     )  # fmt: skip
     if not same:
         _check_head(videos, capture, path)
     return videos
+
+
+def _canonical_light(
+    light: CaptureLight, folder: Path, refined: Path | None, canonical_from_head: Float[Array, "4 4"]
+) -> CaptureLight:
+    """A head's light of the world in the canonical frame, where the head is held as in the body's video."""
+    capture = read_capture(folder, parts=("body", "head"), frames_on_demand=True)
+    if refined is not None:
+        capture = with_refined(capture, refined)
+    world_from_canonical = light_from_video(capture, "head", light.frame, canonical_from_head)[0]
+    return light.turned(world_from_canonical.T, light.frame)
 
 
 def _check_head(videos: RunVideos, capture: Capture, run: Path) -> None:

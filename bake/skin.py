@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Integer, UInt8
 from numpy import ndarray as Array
 
 from geometry.closest import Match
-from geometry.harmonic import fill_harmonic
+from geometry.harmonic import fill_reached
 from geometry.mesh import blended, component_labels, connected, half_edges
 
 # metres from a mesh to the surface that its weights are taken from, beyond which they are filled
@@ -34,16 +34,16 @@ def transferred_weights(
 ) -> tuple[Float[Array, "n joints"], int]:  # fmt: skip
     """Dense weights at the closest source point that faces the same way, within LIMIT, and that belongs
     to the limb that lies there; the rest is filled harmonically over the mesh `faces` (Abdrashitov et al. 2023,
-    Robust Skin Weights Transfer).
+    Robust Skin Weights Transfer). A piece without any such point keeps the closest weights.
 
     Returns:
-        rows that sum to one, and how many were filled.
+        rows that sum to one, and how many have no such point.
     """
     weights = blended(source, source_faces[match.face], match.barycentric)
     good = match.agrees & (match.distance < LIMIT)
     if weights.shape[1] == len(LIMBS):
         good &= ~detached_vertices(weights, faces)
-    weights = np.maximum(fill_harmonic(weights, good, faces), 0)
+    weights = np.maximum(fill_reached(weights, good, faces), 0)
     return weights / weights.sum(1, keepdims=True), int((~good).sum())
 
 

@@ -23,7 +23,11 @@ LEAST = 0.2
 
 
 def with_twist(avatar: Avatar) -> Avatar:
-    """The avatar with weights for twist and bend joints on all levels; those for the 52 joints stay as they are."""
+    """The avatar with weights for twist and bend joints on all levels.
+
+    Counted for the joints that carry them they are the 52 joints' weights to the last bit. These stay as they are but
+    in one row in a hundred, at the shoulders, where the weakest joins the strongest (`with_room`).
+    """
     canonical = joint_transforms(avatar.canonical_pose.astype(np.float64), avatar.joint_positions.astype(np.float64))
     levels = tuple(_twisted(level, canonical, avatar.joint_positions) for level in avatar.levels)
     avatar = replace(avatar, levels=levels, bend=np.zeros(len(BENDS)))

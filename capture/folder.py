@@ -166,6 +166,13 @@ def read_capture_facts(capture: Path) -> dict:
     return facts
 
 
+def capture_files(path: Path) -> list[Path]:
+    """The files of a capture folder that `read_capture` reads, sorted: others may lie beside them."""
+    names = ("cameras.npz", "poses.npz", "landmarks.json", "trunk.npz", "images/*.png", "masks/*.png")
+    read = ["capture.json", "subject.npz", OWN_FACE, *(f"{part}/{name}" for part in PARTS for name in names)]
+    return sorted(file for name in read for file in path.glob(name) if file.is_file())
+
+
 def read_subject(path: Path, name: str = "") -> CaptureSubject:
     """Read the template, `subject.npz`.
 

@@ -23,14 +23,14 @@ class SurfaceSamples(NamedTuple):
 def lattice_samples(
     vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"], spacing: Float[Array, "faces"]
 ) -> SurfaceSamples:
-    """Samples about `spacing` apart, nothing by chance.
+    """Samples about `spacing` apart, nothing by chance; none where there is no face.
 
     Each face is cut into n^2 equal triangles, n = longest edge / spacing rounded, and sampled at their centres.
     """
     corners = vertices[faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
     counts = np.clip(np.round(longest / spacing), 1, 64).astype(int)
-    rows, weights = [], []
+    rows, weights = [np.zeros(0, np.int64)], [np.zeros((0, 3))]
     for n in np.unique(counts):
         chosen = np.flatnonzero(counts == n)
         i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")

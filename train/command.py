@@ -55,6 +55,8 @@ class TrainOptions:
     ] = None  # fmt: skip
 
     def __post_init__(self):
+        if not self.out.name:
+            raise ValueError(f"-o should name a run folder to make, is {self.out}")
         if self.resume and self.force:
             raise ValueError("--resume goes on, --force begins anew: choose one")
         if self.preset == "preview" and self.iterations is not None:

@@ -23,13 +23,12 @@ from avatar.skinning import SkinWeights, skin_normals, skin_points
 from capture.folder import CaptureSubject, PartVideo
 from capture.template.parts import Part
 from capture.template.surface import SampleGrid, SurfaceCloud, sample_grid, signed
+from command.errors import AssetError
 from geometry.cells import distance_to
 from train.deform import apply_rows, canonical_from_posed, inverse_transforms
 
 # metres round the samples of a rigid head in which the nearest of them is looked up
 BESIDE = 0.045
-# steps of a ray at most
-STEPS = 72
 
 
 @dataclass(frozen=True)
@@ -150,7 +149,8 @@ def march(
         t[waiting] += np.maximum(jump, 0)
         waiting = waiting[(jump > 0.3 * reach) & (t[waiting] < far[waiting])]
     active = active[t[active] < far[active]]
-    for _ in range(STEPS):
+    # a ray along an arm stays in the band for some hundred steps, and is through the box in these
+    for _ in range(int((far - t)[active].max(initial=0) / band.step) + 2):
         if len(active) == 0:
             break
         points = origins[active] + t[active, None] * directions[active]
@@ -280,7 +280,7 @@ def part_rays(
     passes by, when its closest approach lies in the box (FRAMES.md). Sections never leave the box.
 
     Raises:
-        ValueError: no ray meets the template in the box.
+        AssetError: no ray meets the template in the box.
     """
     part, cloud, count = filmed.part, filmed.cloud, len(filmed.video.masks)
     grid = sample_grid(cloud.points, part.extent.low - 0.02, part.extent.high + 0.02, cloud.spacing)
@@ -292,7 +292,10 @@ def part_rays(
             bones.append(posed.bones)
     kept = [one.rays for one in frames if one.rays is not None]
     if not kept:
-        raise ValueError(f"no ray of the {filmed.video.part} video meets the template inside the {part.name} box")
+        raise AssetError(
+            f"the {filmed.video.part} video: no ray meets the template inside the {part.name} box, nothing can be "
+            "learned from it; `selfscan check` shows how its masks, cameras and poses fit"
+        )
     put = lambda array: torch.as_tensor(np.ascontiguousarray(array)).to(device)
     ends, row, direction, of_frame, color, on = (put(np.concatenate(columns)) for columns in zip(*kept))
     quaternions = put(np.stack(bones).astype(np.float32)) if bones else None

@@ -23,6 +23,7 @@ from command.settings import SettingsSource, record_of
 from files.input_file import read_json, unusable
 from files.npz import field as field_of
 from files.npz import indices, read_npz
+from files.whole import whole_file
 from train.eye_grid import OpenEyes
 from train.field import PartField
 from train.fused import CanonicalField, FusedField
@@ -94,7 +95,9 @@ def build_field(
 
 def write_part(path: Path, field: PartField) -> None:
     """One part's weights, readable with weights_only."""
-    torch.save({"state": field.state_dict(), "cell": field.template.cell, "frames": len(field.appearance.weight)}, path)
+    content = {"state": field.state_dict(), "cell": field.template.cell, "frames": len(field.appearance.weight)}
+    with whole_file(path) as file:
+        torch.save(content, file)
 
 
 def read_part(path: Path, subject: CaptureSubject, index: int, preset: PartPreset) -> PartField:

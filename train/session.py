@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from capture.folder import capture_files
 from command.errors import AssetError
 from files.input_file import read_json_object
 from files.whole import check_folder, locked, write_json
@@ -29,11 +30,9 @@ class Session:
 def capture_digest(path: Path) -> str:
     """SHA-256 of what training reads of a capture: the same capture may lie in another folder."""
     digest = hashlib.sha256()
-    for file in sorted(path.rglob("*")):
-        name = file.relative_to(path).as_posix()
-        if file.is_file() and not name.startswith(("truth/", ".")):
-            digest.update(f"{name} {file.stat().st_size}\n".encode())
-            digest.update(file.read_bytes())
+    for file in capture_files(path):
+        digest.update(f"{file.relative_to(path).as_posix()} {file.stat().st_size}\n".encode())
+        digest.update(file.read_bytes())
     return digest.hexdigest()[:12]
 
 

@@ -98,7 +98,8 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
             training = prepared(training)
             at = training.session.partial
             learned = [index for index in HEAVIEST_FIRST if index in training.preset.learned]
-            facts = seen_parts(training.capture, training.preset, training.lights, at, options.seed)
+            seen = lambda: seen_parts(training.capture, training.preset, training.lights, at, options.seed)
+            facts = training.from_writer(seen)
             if learned:
                 facts |= train_parts(training, [part_job(training, at, index) for index in learned])
             finish(training, facts)

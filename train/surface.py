@@ -13,6 +13,7 @@ from capture.folder import CaptureSubject
 from capture.template.layers import HAIR, LEAST_HAIR, hair_layers
 from capture.template.parts import Part
 from capture.template.solid import solid_inside, template_behind_cloth
+from command.errors import AssetError
 from geometry.isosurface import Detail, zero_set_mesh
 from geometry.mesh import TriangleMesh, concatenated, largest_component, separate_pieces
 from train.fused import FusedField
@@ -69,7 +70,7 @@ def extract_surface(
     inside the subject's template, which may hang on the skin by a pinhole and be turned out by skinning.
 
     Raises:
-        ValueError: the field has no zero crossing in the box.
+        AssetError: the field has no zero crossing in the box.
     """
     to_field = lambda points: torch.as_tensor(points, dtype=torch.float32, device=field.device)
     asked = lambda points: field.distance(to_field(points)).cpu().numpy()
@@ -87,7 +88,11 @@ def extract_surface(
     points = np.stack([axes[i][index[:, i]] for i in range(3)], 1)
     values[tuple(index.T)] = distance(points)
     if not (values.min() < 0 < values.max()):
-        raise ValueError("the field has no zero crossing: nothing to extract")
+        side = "positive" if values.min() >= 0 else "negative"
+        raise AssetError(
+            f"what was learned is no surface, its distance is {side} everywhere; `selfscan check` shows whether the "
+            "videos can be used"
+        )
     layers = hair_layers(subject, distance)
     if layers is None:
         mesh = largest_component(zero_set_mesh(values, axes))[0]

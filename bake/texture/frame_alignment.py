@@ -108,7 +108,10 @@ def shifted(
     drawn: Float[Array, "height width 3"], frame: Float[Array, "height width 3"], known: Bool[Array, "height width"],
     shift: Float[Array, "height width 2"], window: ShiftWindow,
 ) -> Float[Array, "height width 2"]:  # fmt: skip
-    """`frame_shift` from a first guess, of both pictures blurred."""
+    """`frame_shift` from a first guess, of both pictures blurred; the guess where they are a single row or column,
+    whose slope across it is unknown."""
+    if min(known.shape) < 2:
+        return shift
     blur = window.blur
     model, inside = _blurred(drawn, known, blur), _gaussian(known.astype(np.float32), blur)
     ours = _blurred(frame, known, blur)

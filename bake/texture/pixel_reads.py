@@ -220,14 +220,12 @@ def posed_frames(mesh: AtlasMesh, video: PartVideo, head_from_canonical: Float[A
         yield PosedFrame(vertices, normals, towards, unit_or_zero(along), camera)
 
 
-def frame_light(
-    mesh: AtlasMesh, frame: PosedFrame, light: CaptureLight | None, world: Float[Array, "3 3"]
-) -> FrameLight | None:
-    """S and H of a frame; None where light and albedo are not apart. `world` turns the frame's world into the one that
-    the light of a phone carried about stands still in."""
+def frame_light(mesh: AtlasMesh, frame: PosedFrame, light: CaptureLight | None) -> FrameLight | None:
+    """S and H of a frame; None where light and albedo are not apart. A light of the world is that of the frame's
+    vertices."""
     if light is None or mesh.light is None:
         return None
-    turn = frame.camera.camera_from_world[:3, :3] if light.frame == "camera" else world
+    turn = frame.camera.camera_from_world[:3, :3] if light.frame == "camera" else np.eye(3)
     normals = frame.normals @ turn.T
     found = np.stack([light.shading(normals), light.highlight(normals, frame.towards @ turn.T)], 1)
     return FrameLight(light, found, mesh.light)
@@ -286,8 +284,6 @@ def video_reads(
         frames = islice(posed_frames(mesh, video, head_from_canonical), 0, None, 2)
         best = np.max([frame.cosine for frame in frames], 0).clip(SLANTED, 1)
     belief = Belief(vertex_importance(mesh, video.part), best, power)
-    turn = head_from_canonical[:3, :3] / np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
-    world = turn if video.axis_angle is None else np.eye(3)
 
     def of_drawn(drawn_frame: tuple[int, PosedFrame, Fragments]) -> PixelReads:
         """What the pixels of a drawn frame read."""
@@ -296,7 +292,7 @@ def video_reads(
         if video.unsure is not None:
             # what is away from a head is unknown to its mask alone (capture/read/close_up.py)
             sure = sure | video.unsure[number] if video.trunk is not None else sure & ~video.unsure[number]
-        lit = frame_light(mesh, frame, light, world)
+        lit = frame_light(mesh, frame, light)
         own = frame_reads(mesh, frame, drawn, video.images[number], sure, belief, lit)
         if change is not None:
             shown = own.place.of(change.seen_along(frame.along))

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tiny_avatar import tiny_avatar
 
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
@@ -18,6 +19,7 @@ from bake.bake import (
     run_surface,
     shown_surface,
     unseen_lines,
+    written,
 )
 from bake.promises import missed_promises
 from command.errors import AssetError
@@ -122,6 +124,16 @@ def test_a_hand_that_broke_off_is_named_and_goes_back_to_its_template(run, small
     assert asked == [{"hand_left"}] and found.given_up == {"hand_left": "why"}
 
 
+def test_a_head_that_was_given_up_is_whole_again_where_it_had_learned_to_be_thinner(run, small):
+    head = run.surface.part == PARTS.index("head")
+    thin = np.where(head[:, None], run.surface.vertices - 0.04 * run.surface.normals, run.surface.vertices)
+    source = replace(run, surface=replace(run.surface, vertices=thin), with_templates=lambda names: run.field)
+    found = extracted(source, run_surface(source.surface), small, _Clock(lambda line: None), {"head": "why"})
+    mesh = found.extraction.mesh
+    away = closest_points(run.surface.vertices[head], triangle_index(mesh.vertices, mesh.faces)).distance
+    assert away.max() < 1e-3
+
+
 def test_a_part_that_was_given_up_is_measured_where_the_extracted_surface_has_it(run):
     origin = run_surface(run.surface)
     hand = origin.part == PARTS.index("hand_left")
@@ -152,6 +164,13 @@ def test_a_neck_that_the_heads_video_shows_is_not_said_to_be_unseen(run):
     assert "the neck" in without and shown == ""
 
 
+def test_the_network_of_an_earlier_avatar_does_not_stay_beside_one_without(tmp_path):
+    out, options = tmp_path / "a.glb", BakeOptions()
+    for avatar in (tiny_avatar(), tiny_avatar(network=None, default_view="linear")):
+        written(avatar, out, facts_with(), options, _Clock(lambda line: None))
+        assert out.with_suffix(".onnx").exists() == (avatar.network is not None)
+
+
 def test_each_promise_missed_is_one_line_with_what_to_do():
     lines = missed_promises(facts_with(34.71, (3.0, 9.87), 29.3), BakeOptions(), 20_000_000)
     assert len(lines) == 3
@@ -160,6 +179,15 @@ def test_each_promise_missed_is_one_line_with_what_to_do():
     assert "level 0" in lines[1] and "mip 1 9.9" in lines[1] and "mip 0" not in lines[1]
     assert "less than 425 px tall" in lines[1] and "selfscan inspect" in lines[1]
     assert "20.0 MB, promised are at most 12" in lines[2] and "--texture" in lines[2]
+
+
+def test_no_more_triangles_are_advised_than_can_be_baked():
+    (line,) = missed_promises(facts_with(34.7), BakeOptions(faces=120_000), 7_000_000)
+    assert "--faces 150000" in line
+    (line,) = missed_promises(facts_with(34.7), BakeOptions(faces=150_000), 7_000_000)
+    assert "--faces" not in line and "selfscan inspect" in line
+    with pytest.raises(ValueError, match="faces: expected at most 150000"):
+        BakeOptions(faces=240_000)
 
 
 def test_textures_from_the_videos_promise_to_be_nearer_to_them_than_the_field_is():

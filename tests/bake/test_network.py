@@ -166,6 +166,13 @@ def test_a_smooth_shift_is_undone_and_a_single_picture_moves_no_farther_than_bel
     assert (nobody == 0).all()
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
+def test_a_frame_of_a_single_row_or_column_stays_where_it_is(shape):
+    rows, columns = shape
+    drawn, frame = (picture(seed)[:rows, :columns] for seed in (0, 7))
+    assert (frame_shift(drawn, frame, np.ones(shape, bool), WIDE, FAR) == 0).all()
+
+
 def test_what_slides_by_itself_is_moved_by_a_narrow_window_alone():
     """A disc of 9 pixels shows three pixels beside the rest."""
     drawn, away = picture(0), np.hypot(*(np.mgrid[:SIZE, :SIZE] - SIZE / 2))

@@ -15,6 +15,7 @@ from bake.skin import detached_vertices, quantised, transferred_weights
 from capture.folder import CaptureSubject
 from geometry.closest import match_surface
 from geometry.harmonic import fill_harmonic
+from geometry.mesh import TriangleMesh, concatenated, vertex_normals
 
 
 @pytest.mark.parametrize(
@@ -56,6 +57,19 @@ def test_transfer_to_itself_is_exact_and_far_vertices_are_filled_between_their_n
     weights, filled = transferred_weights(far, ball.faces, ball.faces, source)
     assert filled > 50
     np.testing.assert_allclose(weights, source, atol=0.12)  # harmonic, not linear
+
+
+def test_a_piece_far_from_the_surface_keeps_the_closest_weights():
+    """A lock of hair that has come off."""
+    ball = ball_mesh(0.03, step=0.004)
+    both = concatenated([ball, TriangleMesh(0.4 * ball.vertices + [0.12, 0, 0], ball.faces)])
+    x = 0.5 + 10 * ball.vertices[:, 0]
+    source, normals = np.stack([x, 1 - x], 1), vertex_normals(*both)
+    weights, filled = transferred_weights(match_surface(both.vertices, normals, *ball), both.faces, ball.faces, source)
+    lock = weights[len(ball.vertices) :]
+    assert filled >= len(lock)
+    np.testing.assert_allclose(weights.sum(1), 1, atol=1e-9)
+    np.testing.assert_allclose(lock[:, 0], 0.8, atol=0.05)
 
 
 def test_nothing_known_is_refused():

@@ -11,7 +11,8 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.distance import cdist
 
 from avatar.light import CaptureLight, Lamp
-from avatar.skeleton import JOINTS, PARTS
+from avatar.rotation import fibonacci_sphere
+from avatar.skeleton import JOINTS, PARTS, skin_transforms
 from bake.cone import ViewCone, cone_direction
 from bake.level import places_on_finest
 from bake.run_capture import run_videos
@@ -40,6 +41,7 @@ from bake.texture.video_texture import (
 )
 from capture.folder import read_capture
 from command.errors import AssetError
+from command.settings import settings_json
 from experiments.texture import level_of_file
 from geometry.mesh import TriangleMesh
 from train.session import capture_place
@@ -142,7 +144,7 @@ def test_the_light_of_a_frame_is_divided_out(rasteriser, painted, videos, still)
     video = videos.video("body")
     frame = list(posed_frames(mesh, video, videos.head_from_canonical))[1]
     drawn = drawn_finer(rasteriser, mesh, frame, 1)
-    lit = frame_light(mesh, frame, light, np.eye(3))
+    lit = frame_light(mesh, frame, light)
     assert lit is not None
     hit = drawn.face >= 0
     corners, weight = mesh.faces[drawn.face[hit]], drawn.barycentric[hit].astype(float)
@@ -156,7 +158,7 @@ def test_the_light_of_a_frame_is_divided_out(rasteriser, painted, videos, still)
     expected = light.shown(albedo[None], np.array([1.1]), np.array([0.02]))[0]
     np.testing.assert_allclose(reads.color, np.tile(expected, (len(reads.color), 1)), atol=4 / 255)
     # without lights in the level nothing is divided
-    assert frame_light(mesh._replace(light=None), frame, light, np.eye(3)) is None
+    assert frame_light(mesh._replace(light=None), frame, light) is None
 
 
 def test_least_squares_finds_what_pixels_wider_than_texels_tell():
@@ -467,6 +469,20 @@ def test_the_videos_of_a_run_are_found_again(filmed, tmp_path):
     write_capture(tmp_path / "large", size=24, frames=1)
     other = run_videos(folder / "run", facts, tmp_path / "large")
     assert other.refined is None and other.video("head").images.shape == (1, 24, 24, 3)
+
+
+def test_a_light_of_the_world_falls_on_a_head_held_as_in_the_bodys_video(filmed, tmp_path):
+    folder, facts = filmed
+    write_capture(tmp_path / "turning", size=16, frames=3)
+    light = CaptureLight(0.4, (Lamp((0.6, 0.0, 0.8), 0.5),), frame="world")
+    facts = facts | {"light": dict.fromkeys(PARTS, settings_json(light))}
+    found = run_videos(folder / "run", facts, tmp_path / "turning")
+    joints = read_capture(folder / "capture").subject.joints
+    body = found.video("body")
+    turn = skin_transforms(body.axis_angle[1], joints, body.root[1])[JOINTS.index("head"), :3, :3]
+    normals = fibonacci_sphere(50)
+    np.testing.assert_allclose(found.lights["head"].shading(normals), light.shading(normals @ turn.T), atol=1e-6)
+    assert found.lights["body"] == light
 
 
 @pytest.mark.parametrize(

@@ -90,6 +90,11 @@ def test_samples_are_seeded_uniform_by_area_and_keep_to_the_faces_kept():
     np.testing.assert_allclose(samples.on(vertices, faces).mean(0), expected, atol=2e-3)
 
 
+def test_a_mesh_without_faces_has_no_lattice_samples():
+    samples = lattice_samples(np.zeros((3, 3)), np.zeros((0, 3), int), np.zeros(0))
+    assert samples.on(np.zeros((3, 3)), np.zeros((0, 3), int)).shape == (0, 3)
+
+
 def test_a_generator_goes_on_where_it_stands_and_lattice_samples_cover_by_area():
     vertices, faces = icosphere(1.0)
     rng = np.random.default_rng(4)

@@ -12,6 +12,7 @@ from turning_capture import with_video
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
 from capture.template.parts import Box
 from capture.template.surface import surface_cloud
+from command.errors import AssetError
 from train.deform import canonical_directions
 from train.objective import Batch, losses
 from train.rays import Band, Samples, StillSamples, march
@@ -76,6 +77,17 @@ def test_a_ray_that_grazes_surface_or_band_has_steps_in_the_band_or_none(ball, l
     points = origins + t[:, None] * directions
     within(distance - (np.linalg.norm(points, axis=1) - RADIUS), 1e-3, "m off the true distance")
     assert (distance <= BAND.outside * 1.002).all()
+
+
+def test_a_ray_along_a_limb_is_followed_to_what_it_meets():
+    """A metre over a strip, 2 cm off it, onto a wall."""
+    across, along, up = np.arange(-0.03, 0.03, 0.004), np.arange(0, 1, 0.004), np.arange(-0.1, 0.1, 0.004)
+    strip, wall = (np.stack(np.meshgrid(across, other), -1).reshape(-1, 2) for other in (along, up))
+    points = np.concatenate([np.insert(strip, 1, -0.02, 1), np.insert(wall, 2, 1.0, 1)])
+    normals = np.concatenate([np.tile([0.0, 1, 0], (len(strip), 1)), np.tile([0.0, 0, -1], (len(wall), 1))])
+    (_, t, distance, _), *_ = _march(Samples(points, normals, np.full(len(points), 0.004)), [0, 0, -1], [0, 0, 1])
+    np.testing.assert_allclose(np.diff(t), BAND.step)
+    assert len(t) > 200 and distance[-1] <= -BAND.inside
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -174,7 +186,7 @@ def test_odd_masks_train_to_finite_numbers(turning, cloud, kind):
 
 def test_masks_without_a_person_are_refused_by_the_video(turning, cloud):
     nobody = with_video(turning, "hand_left", masks=np.zeros_like(turning.videos["hand_left"].masks))
-    with pytest.raises(ValueError, match="no ray of the hand_left video meets the template inside the hand_left box"):
+    with pytest.raises(AssetError, match=r"the hand_left video: no ray meets the template .* `selfscan check`"):
         _rays(nobody, cloud)
 
 

@@ -3,13 +3,16 @@
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -18,6 +21,7 @@ from sphere_field import assert_same_bits
 from command.errors import AssetError
 from command.settings import SettingsSource, record_of, settings_json
 from files.whole import whole_folder
+from train import stages
 from train.command import ITEM_NAMES, PRESET_NAMES, TrainOptions
 from train.distributed import ONE_PROCESS, Ranks
 from train.log import TrainingLog
@@ -199,12 +203,22 @@ def test_two_processes_do_not_train_into_one_folder(tiny_capture, tmp_path):
         pass
 
 
+@pytest.mark.parametrize("out", [".", "/"])
+def test_a_run_folder_has_a_name(tmp_path, out):
+    with pytest.raises(ValueError, match=f"-o should name a run folder to make, is {re.escape(out)}"):
+        TrainOptions(capture=tmp_path, out=Path(out))
+
+
 def test_a_capture_is_known_by_its_content_not_by_its_place(tmp_path):
     for name in ("a", "b"):
         (tmp_path / name / "head").mkdir(parents=True)
         (tmp_path / name / "truth").mkdir()
         (tmp_path / name / "head/cameras.npz").write_bytes(b"cameras")
         (tmp_path / name / "truth/rest.npz").write_bytes(name.encode())
+    # a desktop's note, and a training into the capture itself
+    (tmp_path / "b/head/.DS_Store").write_bytes(b"icons")
+    (tmp_path / "b/run.partial").mkdir()
+    (tmp_path / "b/run.partial/body.ckpt").write_bytes(b"hours of work")
     assert capture_digest(tmp_path / "a") == capture_digest(tmp_path / "b")
     (tmp_path / "b/head/cameras.npz").write_bytes(b"Cameras")
     assert capture_digest(tmp_path / "a") != capture_digest(tmp_path / "b")
@@ -308,6 +322,21 @@ def test_torchrun_trains_from_the_command_line_like_one_process(tiny_capture, tm
         for first, second in zip(*(log[1:] for log in logs), strict=True):
             one, two = ([float(value) for value in row.split(",")] for row in (first, second))
             assert two[0] == one[0] and two[3] == pytest.approx(one[3], rel=2e-3)
+
+
+def test_one_rank_alone_writes_the_parts_that_are_not_learned(tmp_path, monkeypatch):
+    facts, found = {"head": {"steps": 0}}, []
+    training = SimpleNamespace(
+        ranks=Ranks(1, 2), preset=SimpleNamespace(learned=()), session=SimpleNamespace(partial=tmp_path)
+    )
+    training.from_writer = partial(stages.Training.from_writer, training)
+    monkeypatch.setattr(Ranks, "broadcast", lambda ranks, thing: facts)
+    monkeypatch.setattr(stages, "begin", lambda *_: training)
+    monkeypatch.setattr(stages, "prepared", lambda training: training)
+    monkeypatch.setattr(stages, "seen_parts", lambda *_: pytest.fail("another rank writes them"))
+    monkeypatch.setattr(stages, "finish", lambda training, facts: found.append(facts))
+    train(TrainOptions(capture=tmp_path, out=tmp_path / "run"), DEMO)
+    assert found == [facts]
 
 
 def test_the_shares_of_a_batch_are_the_batch():

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -111,6 +112,21 @@ def test_a_broken_checkpoint_is_refused_and_a_folder_that_is_no_run(hand, tmp_pa
     refused(FloatingPointError, "not finite", lambda: train_field(field, poisoned, by()))
     assert_same_bits(field.state_dict(), before)
     refused(AssetError, r"run\.json: no such file", run_folder.read_run, tmp_path)
+
+
+def test_a_part_is_written_whole_or_stays_what_it_was(hand, tmp_path, monkeypatch):
+    path = tmp_path / "hand_left.pt"
+    run_folder.write_part(path, hand[0]())
+    before = path.read_bytes()
+
+    def torn(content, file):
+        file.write(before[:100])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(torch, "save", torn)
+    with pytest.raises(KeyboardInterrupt):
+        run_folder.write_part(path, hand[0]())
+    assert path.read_bytes() == before and os.listdir(tmp_path) == [path.name]
 
 
 def planted(*steps):
@@ -272,6 +288,13 @@ def test_the_surface_is_the_skin_although_the_field_is_hollow_and_a_pinhole_lead
     # what is left are folds of the face; a third of all vertices when the hollow stays
     assert (depth > 0.024).mean() < 0.002
     assert trimesh.Trimesh(vertices, faces, process=False).volume > 0.03  # m³; negative where triangles face inwards
+
+
+def test_a_field_without_a_surface_is_one_line_with_what_to_look_at(capture):
+    nowhere = Hollow(capture.subject)
+    nowhere.distance = lambda points: torch.ones(len(points))
+    with pytest.raises(AssetError, match="its distance is positive everywhere; `selfscan check`"):
+        extract_surface(nowhere, part_boxes(capture.subject), capture.subject, (0.05, 0.05, 0.05))
 
 
 def test_a_part_that_breaks_off_is_said_while_it_trains_and_when_it_is_whole_again(hand, tmp_path, monkeypatch):

@@ -252,6 +252,10 @@ def test_stage_2_interrupted_and_resumed_equals_stage_2_never_stopped(capture, u
     assert moved and all(name.startswith("fields.0.") for name in moved)
 
 
+def test_a_part_without_template_in_its_overlap_has_no_surface_there():
+    assert zero_level(_spheres(), 1, np.zeros((0, 3)), np.zeros((0, 3))).points.shape == (0, 3)
+
+
 @pytest.mark.slow
 def test_overlap_surfaces_lie_on_each_part_in_its_overlap(capture, untrained):
     fused, _ = untrained
