@@ -22,7 +22,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy import ndimage, sparse
 
@@ -50,6 +50,7 @@ AROUND = 0.12
 # directions round the middle of a level; cloth reaches as far as it does at its widest, or nearly, in as many as at
 # the best level, or nearly: less is below the hem
 SECTORS, HEM_REACH, ALL_ROUND = 24, 0.6, 0.8
+HEM_STEP = 0.004  # metres, in which a hem is followed down from there
 # metres, of the shell: a fine cell and a half, or the grid loses it; half of it is the widest cell of the distance that
 # the field begins with
 THICK = 0.011
@@ -93,7 +94,7 @@ def with_clothes(subject: CaptureSubject, body: PartVideo, *, drawn_out: bool = 
     loose = standing_off(views, coarse, cloud)
     if not loose.any():
         return subject
-    hem = float(coarse.low[1] + coarse.cell * (hem_level(loose) - 0.5))
+    hem = hem_height(views, coarse, loose)
     if drawn_out:
         rest = slim_legs(subject, posed.vertices[:, 1] - hem)
         vertices = skin_points(rest, subject.skin, canonical_from_rest)
@@ -215,16 +216,37 @@ def hem_level(loose: Bool[Array, "x y z"]) -> int:
     Under a hem, cameras that look down see legs behind every point before and behind them: masks cannot carve there,
     and what they leave is a tongue before the legs and one behind. Beside the legs they see the air.
     """
-    count = loose.sum((0, 2))
-    index = np.argwhere(loose)
-    middle = np.stack([np.bincount(index[:, 1], index[:, axis], len(count)) for axis in (0, 2)], 1)
-    middle = middle / np.maximum(count, 1)[:, None]
-    away = index[:, [0, 2]] - middle[index[:, 1]]
-    sector = np.floor((np.arctan2(away[:, 0], away[:, 1]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
-    reach = np.zeros((len(count), SECTORS))
-    np.maximum.at(reach, (index[:, 1], sector), np.hypot(*away.T))
+    reach = np.zeros((loose.shape[1], SECTORS))
+    for level, cells in enumerate(np.moveaxis(loose, 1, 0)):
+        sector, away = _sectors(np.argwhere(cells))
+        np.maximum.at(reach[level], sector, away)
     around = (reach > HEM_REACH * reach.max(0)).mean(1)
-    return int(np.flatnonzero(around >= ALL_ROUND * around.max())[0])
+    return int(np.flatnonzero(around >= ALL_ROUND * around.max() - 1e-9)[0])
+
+
+def hem_height(views: Sequence[MaskView], coarse: DistanceGrid, loose: Bool[Array, "x y z"]) -> float:
+    """How far down what is cloth at the hem's level goes on, all round as there, metres."""
+    level = hem_level(loose)
+    cells = np.argwhere(loose[:, level])
+    sector, _ = _sectors(cells)
+    places = coarse.low + coarse.cell * np.insert(cells, 1, level, axis=1)
+    count = np.maximum(np.bincount(sector, minlength=SECTORS), 1)
+
+    def around(under: float) -> float:
+        held = _held(places - [0, under, 0], views)
+        return float((np.bincount(sector[held], minlength=SECTORS) > 0.5 * count).mean())
+
+    under, whole = 0.0, around(0.0)
+    while under < 2 * coarse.cell and around(under + HEM_STEP) >= ALL_ROUND * whole - 1e-9:
+        under += HEM_STEP
+    return float(coarse.low[1] + coarse.cell * level - under)
+
+
+def _sectors(cells: Int[Array, "n 2"]) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
+    """In which of SECTORS directions from their middle the cells of a level lie, and how far, cells."""
+    away = cells - (cells.mean(0) if len(cells) else 0.0)
+    turn = np.arctan2(away[:, 0], away[:, 1]) / (2 * np.pi) + 0.5
+    return np.floor(turn * SECTORS).astype(int) % SECTORS, np.hypot(*away.T)
 
 
 def _held(places: Float[Array, "n 3"], views: Sequence[MaskView]) -> Bool[Array, "n"]:
