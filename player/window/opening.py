@@ -195,11 +195,9 @@ def renew(parts: "WindowParts") -> None:
     for k in parts.opening.due():
         entry = parts.opening.scene.avatars[k]
         parts.opening.stamps[entry.path] = stamp_of(Path(entry.path))
-        try:
+        with parts.state.messages.saying_errors():
             if put_avatar(parts, k, entry):
                 parts.state.messages.say(f"{entry.path}: a new one is shown")
-        except AssetError as error:
-            parts.state.messages.say(str(error))
 
 
 def stamp_of(file: Path) -> Stamp | None:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from command.errors import AssetError
 from player.scene.motions import ground_for
 from player.scene.scene import Scene, SceneAvatar, SceneCamera
 from player.scene.scene_file import write_scene
@@ -20,13 +19,11 @@ if TYPE_CHECKING:
 def save_scene(parts: "WindowParts") -> None:
     """Write the scene of now, and beside it what it refers to and no file holds yet: a camera path that was recorded,
     a pose that was made by hand. Where it cannot be written, that is said."""
-    path, say = free_name("selfscan-scene", ".toml"), parts.state.messages.say
-    try:
+    path, messages = free_name("selfscan-scene", ".toml"), parts.state.messages
+    with messages.saying_errors():
         write_scene(path, scene_of_now(parts, path))
-        say(f"{path} written")
+        messages.say(f"{path} written")
         keep_recent(str(path))
-    except AssetError as error:
-        say(str(error))
 
 
 def scene_of_now(parts: "WindowParts", path: Path) -> Scene:

@@ -104,10 +104,11 @@ class Viewpoint:
         self.state.messages.say(f"camera key {len(self.cameras.keys)} at {seconds:.2f} s; j saves the path")
 
     def save_path(self) -> None:
-        """Write the recorded path beside the other files of this run."""
+        """Write the recorded path beside the other files of this run; that it cannot be written is said."""
         if not self.cameras.keys or self.cameras.path is None:
             self.state.messages.say("no camera keys yet: k records one")
             return
-        name = free_name("selfscan-path", ".json")
-        self.cameras.path.write(name)
-        self.state.messages.say(f"{name} written: {plural(len(self.cameras.keys), 'key')}")
+        with self.state.messages.saying_errors():
+            name = free_name("selfscan-path", ".json")
+            self.cameras.path.write(name)
+            self.state.messages.say(f"{name} written: {plural(len(self.cameras.keys), 'key')}")
