@@ -24,6 +24,7 @@ from command.errors import AssetError
 from files.input_file import one_line, read_json_object
 from files.npz import field, read_npz
 from files.picture import read_picture
+from player.scene.cameras import FrameCameras
 
 HEAD_RATE = 10.0  # frames a second; the head's video has no poses that would show it
 
@@ -38,6 +39,10 @@ class CaptureView:
     cameras: tuple[Camera, ...]
     # the poses the person had; not scaled, they were measured on this body
     poses: Clip
+
+    @property
+    def frame_cameras(self) -> FrameCameras:
+        return FrameCameras(self.cameras, self.poses.rate)
 
     def image(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
         """The picture of a frame.

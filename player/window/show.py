@@ -12,10 +12,10 @@ from avatar.rotation import matrix_from_axis_angle
 from player.live.playback import LivePlayback
 from player.scene.camera_path import CameraPath
 from player.scene.cameras import TURN_SECONDS, Cameras, Orbit
-from player.scene.capture_view import CaptureView, open_capture
+from player.scene.capture_view import CaptureView
 from player.scene.framing import FOV, extent, facing, fitted, view_from
 from player.scene.motions import BLOCK
-from player.scene.opened import opened_camera, opened_tracks
+from player.scene.opened import opened_camera, opened_capture, opened_tracks, still_seconds
 from player.scene.scene import Scene, SceneCamera
 from player.window.playback import Playback
 
@@ -60,8 +60,8 @@ def opened_show(
     """
     capture, path, named = None, None, {}
     for camera in scene.cameras:
-        if camera.kind == "capture" and camera.path is not None and capture is None:
-            capture = open_capture(camera.path, camera.name or "body")
+        if camera.kind == "capture" and capture is None:
+            capture = opened_capture(camera)
         elif camera.kind in ("path", "file", "capture"):
             opened = opened_camera(camera)
             if camera.kind == "path" and path is None and isinstance(opened, CameraPath):
@@ -70,16 +70,16 @@ def opened_show(
                 named[camera.name or Path(camera.path or "").stem] = opened
     tracks = opened_tracks(scene, avatars, scene.cameras, capture)
     first = scene.cameras[0] if scene.cameras else SceneCamera()
-    kind = KINDS.get(first.kind, first.kind)
+    kind = next(iter(named)) if first.kind == "file" else KINDS.get(first.kind, first.kind)
     cameras = Cameras(
         Orbit(np.zeros(3), 3.0, 0.0, FOV if first.fov_deg is None else float(np.radians(first.fov_deg))),
         path=path,
-        capture=capture.cameras if capture else (),
+        capture=capture.frame_cameras if capture else None,
         named=named,
-        kind=next(iter(named)) if kind == "file" else kind,
+        kind=kind,
         turn_seconds=first.seconds or TURN_SECONDS,
     )
     if first.eye is not None and first.target is not None:
         cameras.orbit.look(view_from(first.eye, first.target))
-    playback = Playback(tracks, live, rate=scene.rate)
+    playback = Playback(tracks, live, rate=scene.rate, least=still_seconds(tracks, named.get(kind)))
     return Show(scene, list(avatars), playback, cameras, capture, first.kind in ("follow", "orbit"))

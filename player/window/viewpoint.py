@@ -40,7 +40,9 @@ class Viewpoint:
 
     def camera(self) -> Camera:
         """What is looked through now, for the free area."""
-        return self.cameras.camera(self._size, self.state.timeline.seconds, self.video_frame, self._along())
+        playback = self.state.playback
+        rate = playback.tracks[0].motion.rate
+        return self.cameras.camera(self._size, playback.timeline.seconds, rate, self._along())
 
     def _along(self) -> Float[np.ndarray, "3"] | None:
         """How far the orbit has gone along, metres."""
