@@ -155,6 +155,9 @@ def put_avatar(parts: "WindowParts", index: int, entry: SceneAvatar) -> bool:
     if not parts.look.change(anew=True):
         state.avatars[index], state.playback.tracks[index] = before
         return False
+    for live, posed in state.playback.live:
+        if index in posed:
+            live.fit(posed.index(index), avatar)
     state.selection.names[index] = Path(entry.path).stem
     parts.opening.scene = scene
     return True

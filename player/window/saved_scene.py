@@ -40,8 +40,8 @@ def _avatar(parts: "WindowParts", index: int, path: Path) -> SceneAvatar:
     if edit is not None and edit.index == index:
         pose = path.with_name(f"{path.stem}-pose.npz")
         edit.session.save(pose)
-        # where it is: its place is part of the pose
-        return replace(entry, motion=str(pose), live=None, at=(0.0, 0.0, 0.0), turn_deg=0.0, start=0.0, ground="keep")
+        # where it is, with its hands, on this body: all are part of the pose
+        return SceneAvatar(entry.path, str(pose), ground="keep", life=entry.life, speech=entry.speech)
     # the camera decides about the ground no more
     ground = ground_for(entry.ground, parts.opening.scene.cameras)
     place, turn = tuple(np.round(track.at, 6).tolist()), round(float(np.degrees(track.turn)), 6)

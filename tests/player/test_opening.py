@@ -20,7 +20,11 @@ from experiments.scene_docs import DOCS
 from player.effects.ground import Ground
 from player.effects.light import Light
 from player.film.command import render_main
+from player.live.inbox import Inbox
+from player.live.playback import LivePlayback
+from player.scene.address import Address
 from player.scene.effects import STUDIO
+from player.scene.framing import pelvis_height
 from player.scene.scene_file import read_scene, write_scene
 from player.window.looks import LOOKS
 from player.window.recent import MOST, keep_recent, read_recent
@@ -62,6 +66,15 @@ def test_an_avatar_takes_the_place_of_the_selected_one_and_the_camera_stays(wind
     assert (picture(window, "drop:other.glb wait") != before).any(-1).mean() > 0.02
     assert window.parts.viewpoint.cameras.orbit.azimuth == azimuth and window.parts.state.timeline.frame == frame
     assert window.parts.state.selection.names == ["other"]
+
+
+def test_a_sender_poses_the_avatar_that_was_opened_by_its_own_size(open_window, avatar):
+    live = LivePlayback(Inbox("udp"), Address("udp", "127.0.0.1", 1), [avatar])
+    window = open_window(live=[(live, [0])])
+    levels = tuple(replace(level, positions=np.float32(0.6) * level.positions) for level in avatar.levels)
+    write_avatar("child.glb", replace(avatar, levels=levels))
+    run(window, "drop:child.glb wait")
+    assert live.heights == [pelvis_height(window.parts.state.avatars[0])] != [pelvis_height(avatar)]
 
 
 def test_films_pictures_and_panoramas_go_behind_and_leave_the_shadow_of_the_floor(window, tmp_path):
@@ -196,6 +209,8 @@ def test_a_saved_scene_keeps_places_a_hand_made_pose_and_a_camera_path(window, t
     run(window, "k turn:60:0 right k c c wait")
     track = window.parts.state.playback.tracks[0]
     track.at, track.turn = np.array([0.25, 0.0, -0.5]), 0.5
+    opening = window.parts.opening
+    opening.scene = opening.with_avatar(0, replace(opening.scene.avatars[0], hands="flat"))
     run(window, "p m")
     pose = window.parts.posing.poses()[0]
     run(window, "down:ctrl s up:ctrl wait")
