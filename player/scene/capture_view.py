@@ -62,14 +62,14 @@ def open_capture(path: Path | str, part: str = "body") -> CaptureView:
     """Open one video of a capture folder; pictures are read when they are shown.
 
     Raises:
-        AssetError: not a capture, or the video's pictures, cameras and poses do not agree.
+        AssetError: not a capture, no such part of one, or the video's pictures, cameras and poses do not agree.
     """
     path = Path(path)
     facts = read_json_object(path / "capture.json", "a capture")
     if facts.get("format") != "selfscan-capture":
         raise AssetError(f"{path}: expected a capture folder, found format {one_line(repr(facts.get('format')))}")
     if part not in PARTS:
-        raise ValueError(f"part should be one of {', '.join(PARTS)}, is {part!r}")
+        raise AssetError(f"{path}: part should be one of {', '.join(PARTS)}, is {part!r}")
     folder = path / part
     images = tuple(sorted(p for p in (folder / "images").glob("*") if p.suffix.lower() in (".png", ".jpg", ".jpeg")))
     if not images:

@@ -15,11 +15,9 @@ from avatar.gltf.avatar_write import EXTENSION
 from avatar.gltf.document import read_gltf
 from avatar.motion.read import BUILTIN_MOTIONS, READERS
 from command.errors import AssetError
-from files.input_file import name_order
 from player.effects.background import Background
-from player.effects.ground import Ground
+from player.effects.background_source import PICTURES, folder_names, pictures_in
 from player.effects.light import Light
-from player.scene.arguments import PICTURES
 from player.scene.opened import opened_avatar, opened_track
 from player.scene.scene import BUILTIN_AVATARS, Scene, SceneAvatar
 from player.window.recent import read_recent
@@ -70,9 +68,9 @@ class Opening:
         # one that may not be looked into shows nothing
         with suppress(AssetError):
             names = folder_names(folder)
-        paths = [folder / name for name in names if not name.startswith(".")]
-        found = [(path, "folder" if path.is_dir() else KINDS.get(path.suffix.lower(), "")) for path in paths]
-        found.sort(key=lambda one: (one[1] != "folder", name_order(one[0].name)))
+        paths = [folder / name for name in names]
+        found = [(path, "folder" if os.path.isdir(path) else KINDS.get(path.suffix.lower(), "")) for path in paths]
+        found.sort(key=lambda one: one[1] != "folder")
         self.files = [(path, kind) for path, kind in found if kind]
 
     def ask(self, path: str) -> None:
@@ -86,14 +84,6 @@ class Opening:
         return replace(self.scene, avatars=(*before[:index], entry, *before[index + 1 :]))
 
 
-def folder_names(folder: Path) -> list[str]:
-    """What is in a folder; AssetError: it may not be looked into."""
-    try:
-        return os.listdir(folder)
-    except OSError as error:
-        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
-
-
 def kind_of(path: str) -> str:
     """What a file or folder is to the window: avatar, motion, scene, panorama, picture or film.
 
@@ -105,11 +95,10 @@ def kind_of(path: str) -> str:
     if path in BUILTIN_MOTIONS:
         return "motion"
     place = Path(path)
-    if place.is_dir():
-        pictures = any(Path(name).suffix.lower() in PICTURES for name in folder_names(place))
-        return "film" if pictures else "motion"
+    if os.path.isdir(place):
+        return "film" if pictures_in(place) else "motion"
     suffix = place.suffix.lower()
-    if suffix in GLTF and place.exists():
+    if suffix in GLTF and os.path.exists(place):
         gltf = read_gltf(place)
         own = EXTENSION in gltf.extensions(gltf.json, "glTF")
         return "avatar" if own or not gltf.json.get("animations") else "motion"
@@ -186,7 +175,7 @@ def _put_behind(parts: "WindowParts", kind: str, path: str) -> bool:
         raise AssetError(f"{path}: the video of the capture is behind the avatar")
     effects = parts.look.effects
     if effects.ground is not None:
-        effects = replace(effects, ground=Ground(kind="shadow"))
+        effects = replace(effects, ground=replace(effects.ground, kind="shadow"))
     if kind == "panorama":
         effects = replace(effects, light=Light(by="panorama"))
     return parts.look.change(effects=effects, background=Background(BACKGROUNDS[kind], path=path))

@@ -64,6 +64,11 @@ class Playback:
         return [track.faced(pose, now, eye, self.lived) for track, pose in zip(self.tracks, poses, strict=True)]
 
     @property
+    def film_seconds(self) -> float:
+        """The moment in a film behind the avatars: where the timeline is; where it has one frame, what has passed."""
+        return self.timeline.seconds if self.timeline.frames > 1 else self.lived
+
+    @property
     def lives(self) -> bool:
         """Whether a face moves even if nothing else does."""
         acting = (track.acting for track in self.tracks)

@@ -218,7 +218,7 @@ class Window:
         parts.state.last.poses = parts.state.playback.faced(parts.state.last.poses, camera.eye)
         began = self.clock()
         look.renderer.move(parts.state.last.poses, self._moved)
-        look.renderer.draw_into(screen, parts.state.last.poses, camera, seconds=parts.state.timeline.seconds)
+        look.renderer.draw_into(screen, parts.state.last.poses, camera, seconds=parts.state.playback.film_seconds)
         if parts.budget is not None:
             # the work itself, whatever the screen waits for
             self.screen.context.gl.finish()
@@ -284,7 +284,7 @@ class Window:
         parts = self.parts
         playback, line = parts.state.playback, parts.state.timeline
         return (
-            (line.playing and line.frames > 1)
+            (line.playing and (line.frames > 1 or parts.look.background.kind == "video"))
             or bool(playback.live)
             or playback.lives
             or parts.recorder.wants_picture

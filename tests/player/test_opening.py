@@ -16,8 +16,8 @@ from avatar.camera import project
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.read import MOTIONS_FOLDER
 from avatar.skeleton import JOINTS, joint_transforms
+from command.errors import AssetError
 from experiments.scene_docs import DOCS
-from player.effects.ground import Ground
 from player.effects.light import Light
 from player.film.command import render_main
 from player.live.inbox import Inbox
@@ -27,6 +27,7 @@ from player.scene.effects import STUDIO
 from player.scene.framing import pelvis_height
 from player.scene.scene_file import read_scene, write_scene
 from player.window.looks import LOOKS
+from player.window.opening import kind_of
 from player.window.recent import MOST, keep_recent, read_recent
 from tests.window_script import run
 
@@ -79,9 +80,10 @@ def test_a_sender_poses_the_avatar_that_was_opened_by_its_own_size(open_window, 
 
 def test_films_pictures_and_panoramas_go_behind_and_leave_the_shadow_of_the_floor(window, tmp_path):
     Image.new("RGB", (64, 48), (0, 200, 0)).save(tmp_path / "green.png")
-    run(window, "press:studio")
+    run(window, "press:evening")
+    floor = window.parts.look.effects.ground
     green = picture(window, "drop:green.png wait")
-    assert (green[0, 0] == [0, 200, 0]).all() and window.parts.look.effects.ground == Ground(kind="shadow")
+    assert (green[0, 0] == [0, 200, 0]).all() and window.parts.look.effects.ground == replace(floor, kind="shadow")
     run(window, f"drop:{DOCS / 'pictures' / 'effects.mp4'} wait")
     assert window.parts.look.background.kind == "video"
     run(window, f"drop:{SKY} wait")
@@ -99,6 +101,11 @@ def test_a_bad_file_is_one_line_and_nothing_is_lost(window, tmp_path, name):
     said = window.parts.state.messages.last
     assert "\n" not in said and name in said and not said.endswith("opened")
     assert window.parts is parts and read_recent() == []
+
+
+def test_a_place_that_the_system_will_not_look_at_is_an_error_with_its_name():
+    with pytest.raises(AssetError, match="longlong"):
+        kind_of("long" * 100)
 
 
 def test_a_scene_replaces_all_once_it_is_open_and_a_pose_is_not_lost(window, tmp_path):
@@ -148,6 +155,9 @@ def test_recent_files_are_a_few_newest_first_and_a_damaged_list_begins_anew(tmp_
     assert read_recent() == [names[5], *(name for name in names[:1:-1] if name != names[5])][:MOST]
     Path(names[5]).unlink()
     assert names[5] not in read_recent()
+    # a place that the system will not look at, as one in a locked folder
+    (tmp_path / "selfscan" / "recent.json").write_text(json.dumps(["long" * 2000, "nul\0", names[4]]), "utf-8")
+    assert read_recent() == [names[4]]
     (tmp_path / "selfscan" / "recent.json").write_text(json.dumps({"a": 1}), "utf-8")
     assert read_recent() == []
 

@@ -108,6 +108,7 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ('kind = "hdr"', 'kind = "sky"', 23, r"background\.kind: expected one of color, image, video, hdr, transparent"),
     ('"hdr"', '"transparent"\ncolor = "#000000"', 24, r"background\.color: a transparent background takes no color"),
     ("exposure = -1", 'color = "red"', 25, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
+    ("exposure = -1", "exposure = 2000", 25, r"background\.exposure: expected at most 30, found 2000"),
     ("vmc:0.0.0.0:39539", "osc:1", 14, r"avatar 2\.live: expected one of vmc:PORT, .*, found 'osc:1'"),
     ("start = 1", 'motion = "walking"', 13, r"avatar 2\.motion: motion and live: expected one of them, found both"),
     ('path = """mannequin:female"""\n', "", 11, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),

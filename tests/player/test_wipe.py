@@ -179,7 +179,7 @@ def test_the_head_stands_before_the_t_pose_and_no_picture_is_named_when_shown(av
     view = open_capture(copy)
     refused(AssetError, r"000000.png: expected a picture", view.image, 0)
     refused(AssetError, "should be 96x128 as its camera, is 5x5", view.image, 1)
-    refused(ValueError, "part should be one of", open_capture, copy, "foot")
+    refused(AssetError, "part should be one of", open_capture, copy, "foot")
 
 
 @pytest.fixture

@@ -151,6 +151,15 @@ def test_a_budget_is_said_and_rungs_are_what_all_avatars_of_a_scene_hold(tmp_pat
     assert {rung.view for rung in scene_rungs([avatar, plain])} == {"off"}
 
 
+def test_a_view_mode_that_no_level_holds_is_one_line(tmp_path, capsys, avatar):
+    level = replace(avatar.levels[0], features=None)
+    plain = replace(avatar, levels=(level,), network=None, linear=None, default_view="off")
+    write_avatar(tmp_path / "plain.glb", plain)
+    asked = [str(tmp_path / "plain.glb"), "--view", "linear", "--budget", "50ms"]
+    assert main(["render", *asked, "-o", str(tmp_path / "a.png")]) == 1
+    assert "view linear: not in every avatar's file" in (said := capsys.readouterr().err) and said.count("\n") == 1
+
+
 def test_the_window_goes_down_under_load_and_up_again(said, monkeypatch, avatar):
     """Its own clock says how long drawing took: 1 ms of the scene's time, times the load."""
     scene = Scene((SceneAvatar("mannequin", "counting"),))
