@@ -21,15 +21,13 @@ from player.effects.light import Light
 from player.scene.opened import opened_avatar, opened_track
 from player.scene.scene import BUILTIN_AVATARS, Scene, SceneAvatar
 from player.window.recent import read_recent
-from player.window.show import Show
+from player.window.show import Show, stamp_of
 
 if TYPE_CHECKING:
     from player.window.parts import WindowParts
 
 GLTF = (".glb", ".gltf", ".vrm", ".vrma")
 FILMS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
-# what differs when a file is replaced
-Stamp = tuple[int, int]
 # what a background is called in scenes
 BACKGROUNDS = {"panorama": "hdr", "picture": "image", "film": "video"}
 KINDS = dict.fromkeys([suffix for reader in READERS for suffix in reader.suffixes if suffix[0] == "."], "motion")
@@ -47,15 +45,15 @@ class Opening:
         self.listed = False
         self.recent: list[str] = []
         self.files: list[tuple[Path, str]] = []
-        # what each avatar's file was when it was shown
-        self.stamps: dict[str, Stamp | None] = {}
-        self.due()
+        # what each avatar's file was before it was read, where files are followed
+        self.stamps = show.stamps
 
     def due(self) -> list[int]:
         """The avatars whose file is another one than was shown last, where files are followed."""
-        paths = [(k, entry.path) for k, entry in enumerate(self.scene.avatars) if self.show.followed]
-        files = [(k, path, stamp_of(Path(path))) for k, path in paths if path not in BUILTIN_AVATARS]
-        return [k for k, path, stamp in files if stamp not in (None, self.stamps.setdefault(path, stamp))]
+        if self.stamps is None:
+            return []
+        paths = [(k, entry.path) for k, entry in enumerate(self.scene.avatars) if entry.path not in BUILTIN_AVATARS]
+        return [k for k, path in paths if stamp_of(Path(path)) not in (None, self.stamps.get(path))]
 
     def toggle(self) -> None:
         self.listed = not self.listed
@@ -136,6 +134,8 @@ def put_avatar(parts: "WindowParts", index: int, entry: SceneAvatar) -> bool:
         AssetError: its file or its motion cannot be read.
     """
     state, scene = parts.state, parts.opening.with_avatar(index, entry)
+    if parts.opening.stamps is not None:
+        parts.opening.stamps[entry.path] = stamp_of(Path(entry.path))
     avatar = opened_avatar(entry.path)
     track = opened_track(scene, index, avatar, parts.viewpoint.capture)
     before = state.avatars[index], state.playback.tracks[index]
@@ -186,16 +186,6 @@ def renew(parts: "WindowParts") -> None:
     is named, and its avatar stays as it is."""
     for k in parts.opening.due():
         entry = parts.opening.scene.avatars[k]
-        parts.opening.stamps[entry.path] = stamp_of(Path(entry.path))
         with parts.state.messages.saying_errors():
             if put_avatar(parts, k, entry):
                 parts.state.messages.say(f"{entry.path}: a new one is shown")
-
-
-def stamp_of(file: Path) -> Stamp | None:
-    """What differs when a file is replaced; None where there is none."""
-    try:
-        found = file.stat()
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_ino

@@ -28,7 +28,7 @@ from player.window.recent import keep_recent
 from player.window.recorder import save_picture
 from player.window.screen import Screen
 from player.window.script import RATE, steps
-from player.window.show import Show, opened_show
+from player.window.show import Show, file_stamps, opened_show
 from player.window.state import Messages
 from player.window.timeline import LONGEST_STEP
 
@@ -204,10 +204,13 @@ class Window:
             raise AssetError(f"{path}: has live poses: selfscan play --scene {path}")
         if not old.posing.may_leave():
             return False
-        show, panels, layout = opened_show(scene, opened_avatars(scene)), self.panels, old.state.layout
+        stamps = None if old.opening.stamps is None else file_stamps(scene)
+        show, panels, layout = opened_show(scene, opened_avatars(scene), (), stamps), self.panels, old.state.layout
         show.fit_orbit(layout.area[2:])
         self._begin(WindowParts(show, self.screen, self.clock, old.state.messages), panels=layout.panels_on)
         self._end(old, panels)
+        if old.budget is not None and old.budget.controller is not None:
+            self.parts.budget = self._budgeted(old.budget.budget)
         return True
 
     def _draw_picture(self, screen: moderngl.Framebuffer) -> None:

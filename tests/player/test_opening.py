@@ -133,8 +133,10 @@ def test_a_scene_replaces_all_once_it_is_open_and_a_pose_is_not_lost(window, tmp
 def test_the_list_shows_what_was_opened_before_and_what_is_in_the_folder(window, tmp_path):
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner" / "walk.npz").write_bytes((MOTIONS_FOLDER / "walking.npz").read_bytes())
+    (tmp_path / "scan.tif").touch()
     keep_recent(SKY)
     run(window, "down:ctrl o up:ctrl wait wait")
+    assert "file scan.tif" not in window.panels.places, "no background can be read from it"
     assert {"recent 0", "own counting", "file inner", "folder around"} <= window.panels.places.keys()
     run(window, "press:file_inner wait press:file_walk.npz wait wait")
     assert "close list" not in window.panels.places

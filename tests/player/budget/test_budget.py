@@ -21,6 +21,7 @@ from player.budget.table import cache_folder, rung_within
 from player.effects.background import Background
 from player.scene.effects import PLAIN
 from player.scene.scene import Scene, SceneAvatar
+from player.scene.scene_file import write_scene
 from player.window.panels.hud_panel import status
 from player.window.show import opened_show
 from player.window.window import Window
@@ -198,6 +199,20 @@ def test_the_window_goes_down_under_load_and_up_again(said, monkeypatch, avatar)
         window.parts.look.change(effects=dataclasses.replace(window.parts.look.effects, view="network"))
         frames(2)
         assert budget.words == "budget off" and seen[-1] == "network"
+    finally:
+        window.close()
+
+
+def test_a_scene_that_the_window_opens_is_drawn_within_its_budget(said, avatar, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    scene = Scene((SceneAvatar("mannequin", "counting"),))
+    write_scene(tmp_path / "same.toml", scene)
+    window = Window(opened_show(scene, [avatar]), size=(96, 96), null=True, budget=13.0)
+    try:
+        before = window.parts.budget
+        window.on_drop([str(tmp_path / "same.toml")])
+        window.draw()
+        assert window.parts.budget not in (before, None) and window.parts.budget.budget == 13.0
     finally:
         window.close()
 
