@@ -18,15 +18,7 @@ from command.settings import Above, AtLeast, AtMost, Color, FilePlace, OneOf, se
 from player.draw.drawing import Drawing
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Image
-from player.effects.background_source import (
-    PICTURES,
-    RGBA,
-    PictureSequence,
-    Placing,
-    Source,
-    Video,
-    pictures_in,
-)
+from player.effects.background_source import PICTURES, RGBA, PictureSequence, Placing, Source, Video, pictures_in
 from player.effects.panorama import Panorama, panorama_pass
 
 BACKGROUNDS = ("color", "image", "video", "hdr", "transparent")

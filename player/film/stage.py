@@ -20,14 +20,7 @@ from player.scene.acting import ALONE
 from player.scene.camera_path import CameraPath, is_path
 from player.scene.framing import FOV, View, facing, fitted, fitted_round, view_from
 from player.scene.motions import BLOCK
-from player.scene.opened import (
-    notes_of,
-    opened_avatars,
-    opened_camera,
-    opened_capture,
-    opened_tracks,
-    still_seconds,
-)
+from player.scene.opened import notes_of, opened_avatars, opened_camera, opened_capture, opened_tracks, still_seconds
 from player.scene.renderer import Pose
 from player.scene.scene import FITTED, Scene, SceneCamera
 
