@@ -182,7 +182,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
     from player.live.session import live_session
     from player.scene.opened import notes_of, opened_avatars
     from player.window.recent import keep_recent
-    from player.window.show import opened_show
+    from player.window.show import file_stamps, opened_show
 
     # an exception from a signal handler inside the initialisation of imgui-bundle would abort the process
     with deferred_stop() as stop:
@@ -193,6 +193,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
                 raise
             raise missing_package("imgui-bundle", "gui", "selfscan play") from None
     stop.check()
+    stamps = file_stamps(scene) if command.follow else None
     avatars = opened_avatars(scene)
     scene = with_life(scene, avatars, command.life and not command.capture)
     with ExitStack() as sources:
@@ -200,12 +201,11 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             (sources.enter_context(live_session(address, command.source, [avatars[k] for k in indices])), indices)
             for address, indices in _addresses(scene, command)
         ]
-        show = opened_show(scene, avatars, live)
+        show = opened_show(scene, avatars, live, stamps)
         # a script is a test, or a film of the window
         opened = [command.scene] if command.scene else [*command.motion, *command.avatar]
         for path in opened if command.script is None else ():
             keep_recent(path)
-        show.followed = command.follow
         for note in notes_of(show.playback.tracks):
             print(note)
         return play(

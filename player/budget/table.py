@@ -39,11 +39,14 @@ def rung_within(
     mode of the effects that is not auto, and a level that is given, are kept; `files` are those of the avatars.
 
     Raises:
-        ValueError: a view mode that an avatar does not hold.
+        ValueError: a view mode or a level that an avatar does not hold, or motion blur or depth of field.
     """
     if scene.effects.motion_blur is not None or scene.effects.depth_of_field is not None:
         raise ValueError("motion blur and depth of field draw a frame many times: expected none of them with a budget")
     rungs = scene_rungs(scene.avatars, view=scene.effects.view, level=level)
+    if not rungs:
+        at = "" if level is None else f" at level {level}"
+        raise ValueError(f"view {scene.effects.view}{at}: not in every avatar's file")
     path = cache_folder() / "budget" / f"{key_of(context, scene, files, rungs)}.json"
     kept = read_table(path, rungs)
     if kept is not None:

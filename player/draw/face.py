@@ -142,9 +142,8 @@ class FaceOffsets(Addition):
         return (*super().handles, self.texture)
 
     def frame(self, drawing: Drawing) -> FaceFrame:
-        """What the face does in this frame, as far as it can be seen."""
-        seen = head_pixels(drawing.bones[self.avatar], drawing.inputs.camera) >= SMALLEST
-        return self.motion.wanted(drawing.inputs.poses[self.avatar].face if seen else None)
+        """What the face does in this frame; the poses that are drawn have faces that can be seen."""
+        return self.motion.wanted(drawing.inputs.poses[self.avatar].face)
 
     def bind(self, drawing: Drawing) -> None:
         texture = drawing.resources[self.texture]

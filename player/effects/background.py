@@ -5,6 +5,7 @@ Pixels are made ready at the size of the picture when their content changes, and
 image; a window takes the copy upside down.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +14,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from command.errors import AssetError
-from command.settings import Above, AtMost, Color, FilePlace, OneOf, settings
+from command.settings import Above, AtLeast, AtMost, Color, FilePlace, OneOf, settings
 from player.draw.drawing import Drawing
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Image
-from player.effects.background_source import PICTURES, RGBA, PictureSequence, Placing, Source, Video
+from player.effects.background_source import PICTURES, RGBA, PictureSequence, Placing, Source, Video, pictures_in
 from player.effects.panorama import Panorama, panorama_pass
 
 BACKGROUNDS = ("color", "image", "video", "hdr", "transparent")
@@ -44,7 +45,7 @@ class Background:
     fit: Annotated[str, OneOf(FITS),
         "of image and video: cover crops, contain leaves bars of `color`, stretch distorts"] = "cover"
     rate: Annotated[float, Above(0), AtMost(1e4), "frames per second of a folder of frames; a film has its own"] = 30.0
-    exposure: Annotated[float, "of hdr, stops: +1 is twice as bright"] = 0.0
+    exposure: Annotated[float, AtLeast(-30), AtMost(30), "of hdr, stops: +1 is twice as bright"] = 0.0
     turn_deg: Annotated[float, "of hdr, about the vertical: at 0 a camera in front sees the middle of the panorama"] = (
         0.0
     )
@@ -134,11 +135,9 @@ def opened_source(background: Background) -> Source | Panorama:
         return Panorama(path, background.exposure, background.turn_deg)
     if background.kind == "image":
         return PictureSequence([path], placing)
-    if not path.exists():
-        raise AssetError(f"{path}: no such file")
-    if not path.is_dir():
+    if not os.path.isdir(path):
         return Video(path, placing)
-    files = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURES)
+    files = pictures_in(path)
     if not files:
         raise AssetError(f"{path}: expected pictures ({', '.join(PICTURES)}), found none")
     return PictureSequence(files, placing, background.rate)

@@ -3,6 +3,7 @@
 Arrays are sRGB, premultiplied, row 0 on top. Nothing here touches OpenGL.
 """
 
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from jaxtyping import Float32, UInt8
 from PIL import Image
 
 from command.errors import AssetError
-from files.input_file import one_line, open_film
+from files.input_file import name_order, one_line, open_film
 from files.picture import MAX_PIXELS, WITH_WEBP, read_picture
 from player.effects.radiance import read_radiance
 
@@ -45,13 +46,17 @@ def placed(size: tuple[int, int], into: tuple[int, int], fit: str) -> tuple[int,
 
 
 def fitted(picture: Pixels, into: tuple[int, int], fit: str, color: RGBA) -> Pixels:
-    """A picture (straight alpha) scaled and laid over a colour."""
-    left, top, width, height = placed((picture.shape[1], picture.shape[0]), into, fit)
-    scaled = picture
-    if (width, height) != (picture.shape[1], picture.shape[0]):
-        filter = Image.Resampling.LANCZOS if width < picture.shape[1] else Image.Resampling.BICUBIC
-        scaled = np.asarray(Image.fromarray(picture).resize((width, height), filter))
-    return laid(scaled, left, top, into, color)
+    """A picture (straight alpha) scaled and laid over a colour; what sticks out is not made."""
+    across, down = picture.shape[1], picture.shape[0]
+    left, top, width, height = placed((across, down), into, fit)
+    if (width, height) == (across, down):
+        return laid(picture, left, top, into, color)
+    filter = Image.Resampling.LANCZOS if width < across else Image.Resampling.BICUBIC
+    x, y = np.clip((left, left + width), 0, into[0]), np.clip((top, top + height), 0, into[1])
+    (x0, x1), (y0, y1) = (x - left) * across / width, (y - top) * down / height
+    size = (int(x[1] - x[0]), int(y[1] - y[0]))
+    scaled = Image.fromarray(picture).resize(size, filter, box=(float(x0), float(y0), float(x1), float(y1)))
+    return laid(np.asarray(scaled), int(x[0]), int(y[0]), into, color)
 
 
 def laid(picture: Pixels, left: int, top: int, into: tuple[int, int], color: RGBA) -> Pixels:
@@ -70,6 +75,19 @@ def laid(picture: Pixels, left: int, top: int, into: tuple[int, int], color: RGB
         straight[..., 3] = 255
         window[:] = np.round(straight * alpha + window * (1 - alpha))
     return out
+
+
+def folder_names(folder: Path) -> list[str]:
+    """What is in a folder, in the order of the names, hidden files left out; AssetError: it may not be looked into."""
+    try:
+        return sorted((name for name in os.listdir(folder) if not name.startswith(".")), key=name_order)
+    except OSError as error:
+        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """The pictures in a folder; AssetError as in `folder_names`."""
+    return [folder / name for name in folder_names(folder) if name.lower().endswith(PICTURES)]
 
 
 def _picture(path: Path | str) -> Pixels:

@@ -67,16 +67,16 @@ def render(command: RenderCommand) -> None:
 def render_stage(command: RenderCommand, stage: Stage, context: Context | None) -> None:
     """Draw what the command asks for, from an opened scene, with this context (None: workers draw)."""
     stage.scene = replace(stage.scene, effects=effects_for(command.quality, stage.scene.effects, stage.avatars))
-    kind, frame = film_kind(command.output), command.frame
+    kind, frame, frames = film_kind(command.output), command.frame, stage.frames
     if frame is not None and stage.camera.kind == "turntable" and stage.still is None:
-        frame_range(stage.name, stage.frames, None, frame)
-        stage.hold(frame)
+        frame_range(stage.name, frames, None, frame)
+        stage.hold(frame / stage.rate)
         frame = None
     start, stop = frame_range(stage.name, stage.frames, command.frames, frame, kind == ".png")
     if kind == ".png":
-        if stage.frames > 1:
-            other = "" if frame is not None else "; --frame N draws another"
-            print(f"{stage.name}: frame {start} of {plural(stage.frames, 'frame')}{other}")
+        if frames > 1:
+            other = "; --frame N draws another" if command.frame is None else ""
+            print(f"{stage.name}: frame {command.frame or 0} of {plural(frames, 'frame')}{other}")
     else:
         start, stop = at_rate(command, stage, start, stop)
     rung, fit = replace(FULL, level=level_of(command)), stage.fit(start, stop)

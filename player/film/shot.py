@@ -39,7 +39,7 @@ class Shot:
     rate: float
     # what fitted cameras look at
     fit: Fit | None
-    hold: int | None = None  # the frame that a turntable holds still
+    hold: float | None = None  # the moment that a turntable holds still, seconds
     # what is drawn of the avatars: level of detail, textures, joints
     rung: Rung = FULL
     quality: str = "good"

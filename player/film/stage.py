@@ -20,7 +20,7 @@ from player.scene.acting import ALONE
 from player.scene.camera_path import CameraPath, is_path
 from player.scene.framing import FOV, View, facing, fitted, fitted_round, view_from
 from player.scene.motions import BLOCK
-from player.scene.opened import notes_of, opened_avatars, opened_camera, opened_tracks
+from player.scene.opened import notes_of, opened_avatars, opened_camera, opened_capture, opened_tracks, still_seconds
 from player.scene.renderer import Pose
 from player.scene.scene import FITTED, Scene, SceneCamera
 
@@ -55,15 +55,17 @@ class Stage:
             if actor.live is not None:
                 raise AssetError(f"{actor.path}: live = {actor.live!r} is for `selfscan play`; a film needs a motion")
         self.avatars = opened_avatars(scene, levels)
-        self.tracks = opened_tracks(scene, self.avatars, scene.cameras[:1])
+        self.camera = scene.cameras[0] if scene.cameras else SceneCamera()
+        capture = opened_capture(self.camera)
+        self.tracks = opened_tracks(scene, self.avatars, scene.cameras[:1], capture)
         self.notes = notes_of(self.tracks)
         self.rate = float(scene.rate or self.tracks[0].motion.rate)
-        self.camera = scene.cameras[0] if scene.cameras else SceneCamera()
+        self.kept = opened_camera(self.camera, capture) if self.camera.kind not in FITTED else None
         self.frames = self._frames()
-        self.still: int | None = None  # the one frame that a turntable holds
+        # the moment that a turntable holds, seconds
+        self.still: float | None = None
         if self.camera.kind == "turntable" and self.frames == 1:
-            self.hold(0)
-        self.kept = opened_camera(self.camera) if self.camera.kind not in FITTED else None
+            self.hold(0.0)
 
     @property
     def name(self) -> str:
@@ -75,31 +77,33 @@ class Stage:
         """Seconds of a turntable's round."""
         return self.camera.seconds or (TURN if self.still is not None else self.frames / self.rate)
 
-    def hold(self, frame: int) -> None:
-        """A turntable shows this frame from all sides: a film of one round."""
-        self.still = frame
+    def hold(self, seconds: float) -> None:
+        """A turntable shows this moment from all sides: a film of one round."""
+        self.still = seconds
         self.frames = max(1, round(self.turn * self.rate))
 
     def film_at(self, rate: float) -> None:
         """Show the same seconds at another rate. The scene carries it: all machines that open it film the same."""
-        if self.still is not None:
-            self.still = round(self.still * rate / self.rate)
         self.rate, self.scene = rate, replace(self.scene, rate=rate)
         self.frames = self._frames() if self.still is None else max(1, round(self.turn * rate))
 
     def _frames(self) -> int:
-        return max(1, *(int(np.ceil(track.lasts(ALONE) * self.rate - 1e-6)) for track in self.tracks))
+        seconds = max(still_seconds(self.tracks, self.kept), *(track.lasts(ALONE) for track in self.tracks))
+        return max(1, int(np.ceil(seconds * self.rate - 1e-6)))
+
+    def _moment(self, frame: int) -> float:
+        """Seconds into the motions at a frame of the film."""
+        return frame / self.rate if self.still is None else self.still
 
     def size(self) -> tuple[int, int]:
         """Pixels: the scene's, the camera file's, or 640 x 640."""
         if self.scene.size is not None:
             return self.scene.size
-        return SIZE if self.kept is None or isinstance(self.kept, CameraPath) else self.kept[0].size
+        return SIZE if self.kept is None or isinstance(self.kept, CameraPath) else self.kept.cameras[0].size
 
     def poses(self, frame: int) -> list[Pose]:
         """One pose for each avatar. A motion that has ended stays at its last frame."""
-        seconds = (frame if self.still is None else self.still) / self.rate
-        return [track.pose(seconds, frame / self.rate) for track in self.tracks]
+        return [track.pose(self._moment(frame), frame / self.rate) for track in self.tracks]
 
     def poses_beside(self, frame: int, share: float) -> list[Pose]:
         """The poses so many frames (-1 to 1) from a frame, between those of the motions."""
@@ -117,7 +121,7 @@ class Stage:
         if self.camera.kind not in FITTED or self.camera.eye is not None:
             return None
         if self.still is not None:
-            start, stop = self.still, self.still + 1
+            start, stop = 0, 1
         following = self.camera.kind in ("follow", "orbit")
         everything, azimuth = np.zeros((0, 3)), 0.0
         hulls = [hull_of(avatar) for avatar in self.avatars]
@@ -125,7 +129,7 @@ class Stage:
             # so many frames of a block show its extent; a motion of any length takes the memory of one block
             count = min(BLOCK, stop - first)
             chosen = first + spread_frames(count, FITTED_TO)
-            poses = [[track.pose(frame / self.rate) for track in self.tracks] for frame in chosen.tolist()]
+            poses = [[track.pose(self._moment(frame)) for track in self.tracks] for frame in chosen.tolist()]
             for k, avatar in enumerate(self.avatars):
                 axis_angle = np.stack([row[k][0] for row in poses])
                 root = np.stack([row[k][1] for row in poses])
@@ -147,8 +151,10 @@ class Stage:
         if isinstance(kept, CameraPath):
             return lambda frame, _root: kept.camera(frame / self.rate, size)
         assert kept is not None
-        cameras = [camera.resized(size) if camera.size != size else camera for camera in kept]
-        return lambda frame, _root: cameras[min(int(frame + 0.5), len(cameras) - 1)]
+        cameras = [camera.resized(size) if camera.size != size else camera for camera in kept.cameras]
+        seen, rate = replace(kept, cameras=cameras), self.tracks[0].motion.rate
+        # moments beside a frame are seen through the frame's camera
+        return lambda frame, _root: seen.camera(int(frame + 0.5) / self.rate, rate)
 
     def _fitted_at(self, fit: Fit | None, start: int, stop: int, size: tuple[int, int]) -> CameraAt:
         """A camera that stands, goes along with the first avatar, round it, or both."""

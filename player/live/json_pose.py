@@ -148,7 +148,7 @@ class JsonDecoder:
                 self._begin(pose.sender)
                 self.recent.append((pose.sequence, pose.time))
             else:
-                counters.lost += ahead - 1
+                counters.lost += max(ahead - 1, 0)
         self.newest, self.late_in_a_row = pose.sequence, 0
         return Decoded(pose, True, pose.time, restarted)
 

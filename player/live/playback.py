@@ -12,7 +12,7 @@ from player.live.gains import Gains
 from player.live.inbox import SILENT, Inbox
 from player.live.latency import DRAWN, Latency
 from player.live.one_euro import OneEuro
-from player.live.vmc import joint_offsets, leg_length
+from player.live.vmc import VmcState, joint_offsets, leg_length
 from player.scene.address import FACE_SENDERS, Address
 from player.scene.framing import pelvis_height
 from player.scene.renderer import Pose
@@ -44,19 +44,28 @@ class LivePlayback:
     ):
         self.inbox, self.address, self.clock = inbox, address, clock
         self.playing = True
-        self.heights = [pelvis_height(avatar) for avatar in avatars]
-        self.legs = [leg_length(joint_offsets(avatar.joint_positions.astype(np.float64))) for avatar in avatars]
+        self.heights: list[float] = [0.0] * len(avatars)
+        self.legs: list[float | None] = [None] * len(avatars)
+        for k, avatar in enumerate(avatars):
+            self.fit(k, avatar)
         self.filter = OneEuro(smooth) if smooth is not None else None
         self.gains = gains
         self.latency = Latency()
         self.countdown = calibrate_after
         self.origin: Float[np.ndarray, "3"] | None = None  # in the sender's metres
+        # whether bones of the pose that set it may not have arrived yet
+        self.partial = False
         # whether the pose that sets the origin stands on the ground for certain
         self.stands = False
         self.shown: Pose | None = None
         # whether the sender moves the body; else a motion does, and the sender turns the head
         self.moves_body = address.kind not in FACE_SENDERS
         self.sampled: float | None = None
+
+    def fit(self, k: int, avatar: Avatar) -> None:
+        """Pose this avatar as avatar k: its size, metres."""
+        self.heights[k] = pelvis_height(avatar)
+        self.legs[k] = leg_length(joint_offsets(avatar.joint_positions.astype(np.float64)))
 
     def advance(self, dt: float | int) -> None:
         """Let time pass: only the countdown to the calibration needs it."""
@@ -92,7 +101,9 @@ class LivePlayback:
             if gone > 0:
                 self.shown = self.shown._replace(face=face_between(pose.face, None, gone) if gone < 1 else None)
             self.sampled = now
-            if self.origin is None:
+            if self.origin is None or self.partial:
+                # a frame of VMC has arrived whole when the next one begins
+                self.partial = isinstance(frame.content, VmcState) and frame.number == 1
                 self.origin = pose.root * [1.0, 0.0, 1.0]
                 if self.stands or abs(pose.root[1]) < LOW:
                     self.origin[1] = pose.root[1] - self.heights[0] / self._ratio(0)

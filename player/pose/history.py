@@ -66,6 +66,10 @@ class History:
         self._drag = drag
         self.pose = pose
 
+    def before(self, drag: object | None) -> KeptPose:
+        """The pose in which a drag began that is under way; of any other change, what is."""
+        return self.past[-1][1] if drag is not None and drag == self._drag else self.pose
+
     def end_drag(self) -> None:
         """The pointer was let go: the next change is a step of its own. A drag that led nowhere leaves no step."""
         if self._drag is not None and self.past:

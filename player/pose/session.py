@@ -23,6 +23,9 @@ from player.pose.ik import LIMBS, reach_for
 from player.pose.library import read_pose, write_pose
 from player.pose.mirror import mirrored_in_place, onto_other_side
 
+# radians; inverse kinematics come back to a pose within some 1e-15
+ROUNDING = 1e-9
+
 
 class Pin(NamedTuple):
     """Where the end of a limb is held, and how it is turned there."""
@@ -92,8 +95,10 @@ class PoseSession:
             if hold:
                 axis_angle = self._held(axis_angle, root, limb, pin, turning=LIMBS[limb].end == joint)
         if self.limited if limited is None else limited:
-            touched = (axis_angle != self.pose.axis_angle).any(-1, keepdims=True)
-            axis_angle = np.where(touched, clamped(axis_angle), axis_angle)
+            # where a drag comes back to, the joint is as it was, also one that was beyond its limits
+            before = self.history.before(drag).axis_angle
+            touched = (np.abs(axis_angle - before) > ROUNDING).any(-1, keepdims=True)
+            axis_angle = np.where(touched, clamped(axis_angle), before)
         pose = replace(self.pose, axis_angle=axis_angle, root=root)
         if drag is None and pose.same(self.pose):
             return

@@ -1,6 +1,7 @@
 """Arguments that several commands share: sizes, frame ranges, colours, hands."""
 
 import argparse
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +11,12 @@ from avatar.motion.hands import HANDS
 from command.command_line import Option, OptionGroup, Several
 from command.settings import OneOf, color_of, rule_of, settings_of
 from player.effects.background import Background
+from player.effects.background_source import PICTURES
 from player.scene.effects import Effects
 from player.scene.scene import GROUNDS, Scene
 
-PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+# what is read as a picture; those of other formats are refused as one
+PICTURE_ENDINGS = (*PICTURES, ".bmp", ".tif", ".tiff")
 
 MOST_WORKERS = 256
 QUALITIES = ("draft", "good", "best")
@@ -50,9 +53,9 @@ def parse_frames(text: str) -> tuple[int | None, int | None]:
 def parse_background(text: str) -> Background:
     """#rrggbb, #rrggbbaa, transparent, or a file: a picture, a film or folder of frames, a panorama (.hdr)."""
     path = Path(text)
-    if not text.startswith("#") and path.exists():
+    if not text.startswith("#") and os.path.exists(path):
         suffix = path.suffix.lower()
-        kind = "hdr" if suffix == ".hdr" else "image" if suffix in PICTURES else "video"
+        kind = "hdr" if suffix == ".hdr" else "image" if suffix in PICTURE_ENDINGS else "video"
         return Background(kind, path=text)
     color = color_of("#00000000" if text == "transparent" else f"#{text.removeprefix('#')}")
     if color is None:

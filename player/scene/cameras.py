@@ -1,6 +1,7 @@
-"""The cameras of the window: orbit, turntable, a path through keys, and those of a capture."""
+"""The cameras of the window: orbit, turntable, a path through keys, and one for each frame of a motion or a capture."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -60,16 +61,30 @@ class Orbit:
         return orbit_camera(target, self.distance, self.azimuth, self.elevation, size, self.fov)
 
 
+@dataclass(frozen=True)
+class FrameCameras:
+    """A camera for each frame of a motion; the last one stays."""
+
+    cameras: Sequence[Camera]
+    # frames a second; None: as the first motion
+    rate: float | None = None
+
+    def camera(self, seconds: float | int, rate: float | int) -> Camera:
+        """The camera at a moment of the timeline, whose first motion has so many frames a second."""
+        frame = int(seconds * (self.rate or rate) + 1e-6)
+        return self.cameras[min(frame, len(self.cameras) - 1)]
+
+
 class Cameras:
     """All of them; one is looked through. Which there are depends on what was opened."""
 
     def __init__(
-        self, orbit: Orbit, *, path: CameraPath | None = None, capture: Sequence[Camera] = (),
-        named: Mapping[str, CameraPath | Sequence[Camera]] | None = None, kind: str = "orbit",
+        self, orbit: Orbit, *, path: CameraPath | None = None, capture: FrameCameras | None = None,
+        named: Mapping[str, CameraPath | FrameCameras] | None = None, kind: str = "orbit",
         turn_seconds: float = TURN_SECONDS,
     ):  # fmt: skip
         self.orbit, self.path, self.capture, self.kind = orbit, path, capture, kind
-        self.named = dict(named or {})  # further ones by name: a path, or a camera for each frame (the last stays)
+        self.named = dict(named or {})  # further ones by name
         self.turn_seconds = turn_seconds
         # the path that is being recorded
         self.keys: list[tuple[float, Camera]] = []
@@ -77,7 +92,7 @@ class Cameras:
     @property
     def kinds(self) -> list[str]:
         """Those that can be chosen now."""
-        there = {"path": self.path is not None, "capture": bool(self.capture)}
+        there = {"path": self.path is not None, "capture": self.capture is not None}
         return [*(kind for kind in KINDS if there.get(kind, True)), *self.named]
 
     def next(self) -> None:
@@ -106,14 +121,15 @@ class Cameras:
             self.orbit.approach(clicks, beside if self.kind == "orbit" else (0.0, 0.0))
 
     def camera(
-        self, size: tuple[int, int], seconds: float, frame: int, along: Float[np.ndarray, "3"] | None = None
+        self, size: tuple[int, int], seconds: float, rate: float | int, along: Float[np.ndarray, "3"] | None = None
     ) -> Camera:
-        """What is looked through, at a moment of the path and a frame of the capture, fitted to `size` pixels."""
+        """What is looked through at a moment of the timeline, whose first motion has `rate` frames a second, fitted to
+        `size` pixels."""
         chosen = {"path": self.path, "capture": self.capture, **self.named}.get(self.kind)
         if isinstance(chosen, CameraPath):
             return chosen.camera(seconds, size)
-        if chosen:
-            return letterboxed(chosen[min(frame, len(chosen) - 1)], size)
+        if chosen is not None:
+            return letterboxed(chosen.camera(seconds, rate), size)
         return self.orbit.camera(size, along)
 
     def add_key(self, seconds: float, now: Camera) -> None:

@@ -24,6 +24,7 @@ from command.errors import AssetError
 from files.input_file import one_line, read_json_object
 from files.npz import field, read_npz
 from files.picture import read_picture
+from player.scene.cameras import FrameCameras
 
 HEAD_RATE = 10.0  # frames a second; the head's video has no poses that would show it
 
@@ -38,6 +39,10 @@ class CaptureView:
     cameras: tuple[Camera, ...]
     # the poses the person had; not scaled, they were measured on this body
     poses: Clip
+
+    @property
+    def frame_cameras(self) -> FrameCameras:
+        return FrameCameras(self.cameras, self.poses.rate)
 
     def image(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
         """The picture of a frame.
@@ -57,14 +62,14 @@ def open_capture(path: Path | str, part: str = "body") -> CaptureView:
     """Open one video of a capture folder; pictures are read when they are shown.
 
     Raises:
-        AssetError: not a capture, or the video's pictures, cameras and poses do not agree.
+        AssetError: not a capture, no such part of one, or the video's pictures, cameras and poses do not agree.
     """
     path = Path(path)
     facts = read_json_object(path / "capture.json", "a capture")
     if facts.get("format") != "selfscan-capture":
         raise AssetError(f"{path}: expected a capture folder, found format {one_line(repr(facts.get('format')))}")
     if part not in PARTS:
-        raise ValueError(f"part should be one of {', '.join(PARTS)}, is {part!r}")
+        raise AssetError(f"{path}: part should be one of {', '.join(PARTS)}, is {part!r}")
     folder = path / part
     images = tuple(sorted(p for p in (folder / "images").glob("*") if p.suffix.lower() in (".png", ".jpg", ".jpeg")))
     if not images:

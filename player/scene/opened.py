@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from avatar.baked_avatar import Avatar
-from avatar.camera import Camera, read_camera, read_cameras
+from avatar.camera import read_camera, read_cameras
 from avatar.gltf.avatar_file import read_avatar
 from player.scene.acting import faceless, opened_acting
 from player.scene.camera_path import CameraPath, is_path
+from player.scene.cameras import FrameCameras
 from player.scene.capture_view import CaptureView, open_capture
 from player.scene.framing import pelvis_height
 from player.scene.motions import ground_for, motion_for, standing
@@ -59,7 +60,7 @@ def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView
     if entry.live is not None and entry.motion is None:
         return Track(standing(pelvis_height(avatar)), at=at, turn=turn, name=entry.live)
     if entry.motion is None and capture is not None:
-        return Track(capture.poses, at=at, turn=turn, name=f"the {capture.part} video")
+        return Track(capture.poses, entry.start, at, turn, f"the {capture.part} video")
     motion = motion_for(avatar, entry.motion, body=entry.body, hands=entry.hands, ground=ground)
     return Track(motion, entry.start, at, turn, entry.motion or motion.name)
 
@@ -78,13 +79,28 @@ def notes_of(tracks: Sequence[Track]) -> list[str]:
     ] + silent
 
 
-def opened_camera(camera: SceneCamera) -> CameraPath | Sequence[Camera]:
-    """The cameras of a file: along a path, or one for each frame."""
+def opened_capture(camera: SceneCamera) -> CaptureView | None:
+    """The video of a capture that a camera is; None for cameras of other kinds."""
+    if camera.kind != "capture" or camera.path is None:
+        return None
+    return open_capture(camera.path, camera.name or "body")
+
+
+def opened_camera(camera: SceneCamera, capture: CaptureView | None = None) -> CameraPath | FrameCameras:
+    """The cameras of a file: along a path, or one for each frame; of a capture, where it is one."""
     assert camera.path is not None, "these kinds have a path"
-    if camera.kind == "capture":
-        return open_capture(camera.path, camera.name or "body").cameras
+    capture = capture or opened_capture(camera)
+    if capture is not None:
+        return capture.frame_cameras
     if Path(camera.path).suffix.lower() == ".npz":
-        return read_cameras(camera.path)
+        return FrameCameras(read_cameras(camera.path))
     if camera.kind == "path" or is_path(camera.path):
         return CameraPath.read(camera.path)
-    return [read_camera(camera.path)]
+    return FrameCameras([read_camera(camera.path)])
+
+
+def still_seconds(tracks: Sequence[Track], camera: CameraPath | FrameCameras | None) -> float:
+    """Seconds that the cameras of a file last before bodies that no motion moves; 0 where one does."""
+    if not isinstance(camera, FrameCameras) or any(track.motion.frames > 1 for track in tracks):
+        return 0.0
+    return len(camera.cameras) / (camera.rate or tracks[0].motion.rate)

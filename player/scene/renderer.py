@@ -15,7 +15,7 @@ from files.input_file import JsonObject
 from player.draw.drawing import Drawing, FrameInputs, GivenPose, Look, Pose, Warming
 from player.draw.face import moves_face
 from player.draw.plan import Canvas, Decision, Kept, Pass, Plan, close_all
-from player.draw.posing import PosedBones, Poser, screen_bounds
+from player.draw.posing import PosedBones, Poser, ScreenBounds, screen_bounds
 from player.draw.raster import clip_planes
 from player.draw.resources import PlanResources
 from player.effects.background import Background
@@ -233,12 +233,12 @@ class Renderer:
         if len(inputs.poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(inputs.poses)}")
         bones = [poser.posed(*pose[:2], camera) for poser, pose in zip(self.posers, inputs.poses, strict=True)]
-        reaches = [max(item.reach(k, pose) for item in self.plan.passes) for k, pose in enumerate(inputs.poses)]
-        bounds = [screen_bounds(self._bulging(one, far), camera) for one, far in zip(bones, reaches, strict=True)]
-        visible = [one.shows(camera) for one in bounds]
-        if self._plan_faces(inputs, bones, visible):
+        inputs = replace(inputs, poses=self._seen_faces(inputs, bones))
+        if self._plan_faces(inputs.poses):
             self._frame(inputs, only=only)
             return
+        reaches, bounds = self._bounds(inputs.poses, bones, camera)
+        visible = [one.shows(camera) for one in bounds]
         depths = np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).reshape(-1, 2)
         planes = clip_planes(depths.ravel(), float(depths[:, 1].min(initial=np.inf)))
         look = self.look._replace(view_amount=self.view_amount)
@@ -256,12 +256,30 @@ class Renderer:
                 item.draw(drawing)
         self.drawn, self.last = drawn, inputs
 
-    def _plan_faces(self, inputs: FrameInputs, bones: Sequence[PosedBones], visible: Sequence[bool]) -> bool:
+    def _bounds(
+        self, poses: Sequence[Pose], bones: Sequence[PosedBones], camera: Camera
+    ) -> tuple[list[float], list[ScreenBounds]]:
+        """How far each avatar's loose parts are from where they are skinned to, at most, metres; where they all are."""
+        reaches = [max(item.reach(k, pose) for item in self.plan.passes) for k, pose in enumerate(poses)]
+        return reaches, [screen_bounds(self._bulging(*one), camera) for one in zip(bones, reaches, strict=True)]
+
+    def _seen_faces(self, inputs: FrameInputs, bones: Sequence[PosedBones]) -> tuple[Pose, ...]:
+        """The poses, without faces that cannot be seen: the picture is the same whether or not one was shown before."""
+        still, camera = tuple(pose._replace(face=None) for pose in inputs.poses), inputs.camera
+        moved = [moves_face(pose, one, camera) for pose, one in zip(inputs.poses, bones, strict=True)]
+        if not any(moved):
+            return still
+        _, bounds = self._bounds(still, bones, camera)
+        return tuple(
+            pose if moves and one.shows(camera) else rest
+            for pose, rest, moves, one in zip(inputs.poses, still, moved, bounds, strict=True)
+        )
+
+    def _plan_faces(self, poses: Sequence[Pose]) -> bool:
         """Bring faces that move for the first time into the plan; whether there are any."""
         moved = {
-            number for number, (avatar, pose) in enumerate(zip(self.avatars, inputs.poses, strict=True))
-            if number not in self.faces and avatar.eyes is not None and visible[number]
-            and moves_face(pose, bones[number], inputs.camera)
+            number for number, (avatar, pose) in enumerate(zip(self.avatars, poses, strict=True))
+            if number not in self.faces and avatar.eyes is not None and pose.face is not None
         }  # fmt: skip
         if moved:
             self.faces |= moved

@@ -15,23 +15,19 @@ from avatar.gltf.avatar_write import EXTENSION
 from avatar.gltf.document import read_gltf
 from avatar.motion.read import BUILTIN_MOTIONS, READERS
 from command.errors import AssetError
-from files.input_file import name_order
 from player.effects.background import Background
-from player.effects.ground import Ground
+from player.effects.background_source import PICTURES, folder_names, pictures_in
 from player.effects.light import Light
-from player.scene.arguments import PICTURES
 from player.scene.opened import opened_avatar, opened_track
 from player.scene.scene import BUILTIN_AVATARS, Scene, SceneAvatar
 from player.window.recent import read_recent
-from player.window.show import Show
+from player.window.show import Show, stamp_of
 
 if TYPE_CHECKING:
     from player.window.parts import WindowParts
 
 GLTF = (".glb", ".gltf", ".vrm", ".vrma")
 FILMS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
-# what differs when a file is replaced
-Stamp = tuple[int, int]
 # what a background is called in scenes
 BACKGROUNDS = {"panorama": "hdr", "picture": "image", "film": "video"}
 KINDS = dict.fromkeys([suffix for reader in READERS for suffix in reader.suffixes if suffix[0] == "."], "motion")
@@ -49,15 +45,15 @@ class Opening:
         self.listed = False
         self.recent: list[str] = []
         self.files: list[tuple[Path, str]] = []
-        # what each avatar's file was when it was shown
-        self.stamps: dict[str, Stamp | None] = {}
-        self.due()
+        # what each avatar's file was before it was read, where files are followed
+        self.stamps = show.stamps
 
     def due(self) -> list[int]:
         """The avatars whose file is another one than was shown last, where files are followed."""
-        paths = [(k, entry.path) for k, entry in enumerate(self.scene.avatars) if self.show.followed]
-        files = [(k, path, stamp_of(Path(path))) for k, path in paths if path not in BUILTIN_AVATARS]
-        return [k for k, path, stamp in files if stamp not in (None, self.stamps.setdefault(path, stamp))]
+        if self.stamps is None:
+            return []
+        paths = [(k, entry.path) for k, entry in enumerate(self.scene.avatars) if entry.path not in BUILTIN_AVATARS]
+        return [k for k, path in paths if stamp_of(Path(path)) not in (None, self.stamps.get(path))]
 
     def toggle(self) -> None:
         self.listed = not self.listed
@@ -70,9 +66,9 @@ class Opening:
         # one that may not be looked into shows nothing
         with suppress(AssetError):
             names = folder_names(folder)
-        paths = [folder / name for name in names if not name.startswith(".")]
-        found = [(path, "folder" if path.is_dir() else KINDS.get(path.suffix.lower(), "")) for path in paths]
-        found.sort(key=lambda one: (one[1] != "folder", name_order(one[0].name)))
+        paths = [folder / name for name in names]
+        found = [(path, "folder" if os.path.isdir(path) else KINDS.get(path.suffix.lower(), "")) for path in paths]
+        found.sort(key=lambda one: one[1] != "folder")
         self.files = [(path, kind) for path, kind in found if kind]
 
     def ask(self, path: str) -> None:
@@ -86,14 +82,6 @@ class Opening:
         return replace(self.scene, avatars=(*before[:index], entry, *before[index + 1 :]))
 
 
-def folder_names(folder: Path) -> list[str]:
-    """What is in a folder; AssetError: it may not be looked into."""
-    try:
-        return os.listdir(folder)
-    except OSError as error:
-        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
-
-
 def kind_of(path: str) -> str:
     """What a file or folder is to the window: avatar, motion, scene, panorama, picture or film.
 
@@ -105,11 +93,10 @@ def kind_of(path: str) -> str:
     if path in BUILTIN_MOTIONS:
         return "motion"
     place = Path(path)
-    if place.is_dir():
-        pictures = any(Path(name).suffix.lower() in PICTURES for name in folder_names(place))
-        return "film" if pictures else "motion"
+    if os.path.isdir(place):
+        return "film" if pictures_in(place) else "motion"
     suffix = place.suffix.lower()
-    if suffix in GLTF and place.exists():
+    if suffix in GLTF and os.path.exists(place):
         gltf = read_gltf(place)
         own = EXTENSION in gltf.extensions(gltf.json, "glTF")
         return "avatar" if own or not gltf.json.get("animations") else "motion"
@@ -147,6 +134,8 @@ def put_avatar(parts: "WindowParts", index: int, entry: SceneAvatar) -> bool:
         AssetError: its file or its motion cannot be read.
     """
     state, scene = parts.state, parts.opening.with_avatar(index, entry)
+    if parts.opening.stamps is not None:
+        parts.opening.stamps[entry.path] = stamp_of(Path(entry.path))
     avatar = opened_avatar(entry.path)
     track = opened_track(scene, index, avatar, parts.viewpoint.capture)
     before = state.avatars[index], state.playback.tracks[index]
@@ -155,6 +144,9 @@ def put_avatar(parts: "WindowParts", index: int, entry: SceneAvatar) -> bool:
     if not parts.look.change(anew=True):
         state.avatars[index], state.playback.tracks[index] = before
         return False
+    for live, posed in state.playback.live:
+        if index in posed:
+            live.fit(posed.index(index), avatar)
     state.selection.names[index] = Path(entry.path).stem
     parts.opening.scene = scene
     return True
@@ -183,7 +175,7 @@ def _put_behind(parts: "WindowParts", kind: str, path: str) -> bool:
         raise AssetError(f"{path}: the video of the capture is behind the avatar")
     effects = parts.look.effects
     if effects.ground is not None:
-        effects = replace(effects, ground=Ground(kind="shadow"))
+        effects = replace(effects, ground=replace(effects.ground, kind="shadow"))
     if kind == "panorama":
         effects = replace(effects, light=Light(by="panorama"))
     return parts.look.change(effects=effects, background=Background(BACKGROUNDS[kind], path=path))
@@ -194,18 +186,6 @@ def renew(parts: "WindowParts") -> None:
     is named, and its avatar stays as it is."""
     for k in parts.opening.due():
         entry = parts.opening.scene.avatars[k]
-        parts.opening.stamps[entry.path] = stamp_of(Path(entry.path))
-        try:
+        with parts.state.messages.saying_errors():
             if put_avatar(parts, k, entry):
                 parts.state.messages.say(f"{entry.path}: a new one is shown")
-        except AssetError as error:
-            parts.state.messages.say(str(error))
-
-
-def stamp_of(file: Path) -> Stamp | None:
-    """What differs when a file is replaced; None where there is none."""
-    try:
-        found = file.stat()
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_ino

@@ -17,22 +17,23 @@ class Playback:
 
     def __init__(
         self, tracks: Sequence[Track], live: Sequence[tuple[LivePlayback, Sequence[int]]] = (), *,
-        rate: float | None = None,
+        rate: float | None = None, least: float = 0.0,
     ):  # fmt: skip
-        self.tracks, self.live, self._rate = list(tracks), list(live), rate
+        """rate: frames a second of the timeline; None: the first motion's. least: seconds that it lasts at least."""
+        self.tracks, self.live, self._rate, self._least = list(tracks), list(live), rate, least
         self.timeline = self._timeline()
         # seconds that have passed for life, which does not begin anew with the timeline
         self.lived = 0.0
 
     def _timeline(self) -> Timeline:
         rate = self._rate or self.tracks[0].motion.rate
-        frames = max(int(np.ceil(track.lasts() * rate - 1e-6)) for track in self.tracks)
-        return Timeline(max(frames, 1), rate)
+        seconds = max(self._least, *(track.lasts() for track in self.tracks))
+        return Timeline(max(int(np.ceil(seconds * rate - 1e-6)), 1), rate)
 
     def change(self, index: int, track: Track) -> None:
         """Another motion for an avatar, which stands where it stood; time begins anew, as long as it takes now."""
         before, self.tracks[index] = self.tracks[index], track
-        track.at, track.turn = before.at, before.turn
+        track.at, track.turn, self._least = before.at, before.turn, 0.0
         line, self.timeline = self.timeline, self._timeline()
         self.timeline.playing, self.timeline.speed = line.playing, line.speed
 
@@ -61,6 +62,11 @@ class Playback:
         """The poses with what faces do now, before a camera at `eye`."""
         now = self.timeline.seconds
         return [track.faced(pose, now, eye, self.lived) for track, pose in zip(self.tracks, poses, strict=True)]
+
+    @property
+    def film_seconds(self) -> float:
+        """The moment in a film behind the avatars: where the timeline is; where it has one frame, what has passed."""
+        return self.timeline.seconds if self.timeline.frames > 1 else self.lived
 
     @property
     def lives(self) -> bool:

@@ -1,6 +1,7 @@
 """Files that were opened before, newest first; kept beside the user's poses. Nothing hangs on them: a list that cannot
 be read begins anew, one that cannot be written stays as it is."""
 
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -27,12 +28,13 @@ def read_recent() -> list[str]:
     except AssetError:
         return []
     names = [name for name in found if isinstance(name, str)] if isinstance(found, list) else []
-    return [name for name in names if "\0" not in name and Path(name).exists()][:MOST]
+    # Path.exists would raise where one lies in a folder that may not be looked into
+    return [name for name in names if os.path.exists(name)][:MOST]
 
 
 def keep_recent(path: str) -> None:
     """A file was opened now. What travels with the program is not listed."""
-    if path in BUILTIN_AVATARS or not Path(path).exists():
+    if path in BUILTIN_AVATARS or not os.path.exists(path):
         return
     whole = str(Path(path).absolute())
     with suppress(AssetError, OSError):

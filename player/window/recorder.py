@@ -1,6 +1,7 @@
 """Screenshots and films of what the window shows, without its panels and text."""
 
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from command.errors import AssetError
 from command.progress import plural
 from files.whole import whole_file
 from player.film.film import Film
@@ -35,7 +37,11 @@ class WindowFilm:
         self.frames = 0
 
     def add(self, image: UInt8[np.ndarray, "height width 4"], now: float) -> bool:
-        """The picture of now; False when it has another size than the film."""
+        """The picture of now; False when it has another size than the film.
+
+        Raises:
+            AssetError: the film cannot be written.
+        """
         size = (image.shape[1], image.shape[0])
         self.size, self.began = self.size or size, now if self.began is None else self.began
         if size != self.size:
@@ -45,7 +51,7 @@ class WindowFilm:
             count = min(max(int((now - self.began) * self.rate) + 1 - self.frames, 0), MOST_AT_ONCE)
         for _ in range(count):
             self.film.add(image)
-        self.frames += count
+            self.frames += 1
         return True
 
     def close(self) -> str:
@@ -82,32 +88,43 @@ class Recorder:
         self._shoot = on
 
     def toggle_film(self) -> None:
-        """Start a film, or write the one that runs."""
-        say = self._state.messages.say
+        """Start a film, or write the one that runs; that it cannot be written is said."""
         if self.film is not None:
-            film, self.film = self.film, None
-            say(film.close())
+            with self._state.messages.saying_errors():
+                self.close()
             return
         live = bool(self._state.playback.live)
         rate = 30.0 if live else self._state.timeline.rate
         self.film = WindowFilm(free_name("selfscan", ".mp4"), rate, live=live)
-        say(f"filming {self.film.path}; o ends it")
+        self._state.messages.say(f"filming {self.film.path}; o ends it")
 
     def take(self, image: UInt8[np.ndarray, "height width 4"]) -> None:
-        """The picture of now, for the screenshot and the film."""
-        say = self._state.messages.say
-        if self.film is not None and not self.film.add(image, self._clock()):
-            self.toggle_film()
-            say("the picture has another size now: the film ends here")
+        """The picture of now, for the screenshot and the film. What cannot be written is said, and ends the film."""
+        messages = self._state.messages
+        if self.film is not None:
+            try:
+                if not self.film.add(image, self._clock()):
+                    self.toggle_film()
+                    messages.say("the picture has another size now: the film ends here")
+            except AssetError:
+                # as it ends, it says why
+                self.toggle_film()
         if self._shoot:
             self._shoot = False
-            name = free_name("selfscan", ".png")
-            save_picture(name, image)
-            say(f"{name} written")
+            with messages.saying_errors():
+                name = free_name("selfscan", ".png")
+                save_picture(name, image)
+                messages.say(f"{name} written")
 
     def close(self) -> None:
-        if self.film is not None:
-            self.toggle_film()
+        """Write the film that runs.
+
+        Raises:
+            AssetError: it cannot be written.
+        """
+        film, self.film = self.film, None
+        if film is not None:
+            self._state.messages.say(film.close())
 
 
 def save_picture(path: Path, image: UInt8[np.ndarray, "height width channels"]) -> None:
@@ -118,4 +135,4 @@ def save_picture(path: Path, image: UInt8[np.ndarray, "height width channels"]) 
 
 def free_name(stem: str, suffix: str) -> Path:
     """The first of stem-000, stem-001 ... that is not there yet, in this folder."""
-    return next(path for n in range(100_000) if not (path := Path(f"{stem}-{n:03d}{suffix}")).exists())
+    return next(path for n in range(100_000) if not os.path.lexists(path := Path(f"{stem}-{n:03d}{suffix}")))

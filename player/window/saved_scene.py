@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from command.errors import AssetError
 from player.scene.motions import ground_for
 from player.scene.scene import Scene, SceneAvatar, SceneCamera
 from player.scene.scene_file import write_scene
@@ -20,13 +19,11 @@ if TYPE_CHECKING:
 def save_scene(parts: "WindowParts") -> None:
     """Write the scene of now, and beside it what it refers to and no file holds yet: a camera path that was recorded,
     a pose that was made by hand. Where it cannot be written, that is said."""
-    path, say = free_name("selfscan-scene", ".toml"), parts.state.messages.say
-    try:
+    path, messages = free_name("selfscan-scene", ".toml"), parts.state.messages
+    with messages.saying_errors():
         write_scene(path, scene_of_now(parts, path))
-        say(f"{path} written")
+        messages.say(f"{path} written")
         keep_recent(str(path))
-    except AssetError as error:
-        say(str(error))
 
 
 def scene_of_now(parts: "WindowParts", path: Path) -> Scene:
@@ -43,8 +40,8 @@ def _avatar(parts: "WindowParts", index: int, path: Path) -> SceneAvatar:
     if edit is not None and edit.index == index:
         pose = path.with_name(f"{path.stem}-pose.npz")
         edit.session.save(pose)
-        # where it is: its place is part of the pose
-        return replace(entry, motion=str(pose), live=None, at=(0.0, 0.0, 0.0), turn_deg=0.0, start=0.0, ground="keep")
+        # where it is, with its hands, on this body: all are part of the pose
+        return SceneAvatar(entry.path, str(pose), ground="keep", life=entry.life, speech=entry.speech)
     # the camera decides about the ground no more
     ground = ground_for(entry.ground, parts.opening.scene.cameras)
     place, turn = tuple(np.round(track.at, 6).tolist()), round(float(np.degrees(track.turn)), 6)

@@ -2,7 +2,8 @@
 of the window, and messages. Each owns its state; `WindowState` only holds them together."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +12,7 @@ from jaxtyping import UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.skeleton import JOINTS
+from command.errors import AssetError
 from player.scene.renderer import Pose
 from player.window.playback import Playback
 from player.window.screen import Screen
@@ -48,6 +50,14 @@ class Messages:
     def say(self, text: str) -> None:
         print(text)
         self.last, self._until = text, self._clock() + MESSAGE_SECONDS
+
+    @contextmanager
+    def saying_errors(self) -> Iterator[None]:
+        """A block that ends where a file cannot be read or written, which is said."""
+        try:
+            yield
+        except AssetError as error:
+            self.say(str(error))
 
     @property
     def shown(self) -> str:

@@ -40,7 +40,9 @@ class Viewpoint:
 
     def camera(self) -> Camera:
         """What is looked through now, for the free area."""
-        return self.cameras.camera(self._size, self.state.timeline.seconds, self.video_frame, self._along())
+        playback = self.state.playback
+        rate = playback.tracks[0].motion.rate
+        return self.cameras.camera(self._size, playback.timeline.seconds, rate, self._along())
 
     def _along(self) -> Float[np.ndarray, "3"] | None:
         """How far the orbit has gone along, metres."""
@@ -104,10 +106,11 @@ class Viewpoint:
         self.state.messages.say(f"camera key {len(self.cameras.keys)} at {seconds:.2f} s; j saves the path")
 
     def save_path(self) -> None:
-        """Write the recorded path beside the other files of this run."""
+        """Write the recorded path beside the other files of this run; that it cannot be written is said."""
         if not self.cameras.keys or self.cameras.path is None:
             self.state.messages.say("no camera keys yet: k records one")
             return
-        name = free_name("selfscan-path", ".json")
-        self.cameras.path.write(name)
-        self.state.messages.say(f"{name} written: {plural(len(self.cameras.keys), 'key')}")
+        with self.state.messages.saying_errors():
+            name = free_name("selfscan-path", ".json")
+            self.cameras.path.write(name)
+            self.state.messages.say(f"{name} written: {plural(len(self.cameras.keys), 'key')}")

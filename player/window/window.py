@@ -28,7 +28,7 @@ from player.window.recent import keep_recent
 from player.window.recorder import save_picture
 from player.window.screen import Screen
 from player.window.script import RATE, steps
-from player.window.show import Show, opened_show
+from player.window.show import Show, file_stamps, opened_show
 from player.window.state import Messages
 from player.window.timeline import LONGEST_STEP
 
@@ -204,10 +204,13 @@ class Window:
             raise AssetError(f"{path}: has live poses: selfscan play --scene {path}")
         if not old.posing.may_leave():
             return False
-        show, panels, layout = opened_show(scene, opened_avatars(scene)), self.panels, old.state.layout
+        stamps = None if old.opening.stamps is None else file_stamps(scene)
+        show, panels, layout = opened_show(scene, opened_avatars(scene), (), stamps), self.panels, old.state.layout
         show.fit_orbit(layout.area[2:])
         self._begin(WindowParts(show, self.screen, self.clock, old.state.messages), panels=layout.panels_on)
         self._end(old, panels)
+        if old.budget is not None and old.budget.controller is not None:
+            self.parts.budget = self._budgeted(old.budget.budget)
         return True
 
     def _draw_picture(self, screen: moderngl.Framebuffer) -> None:
@@ -218,7 +221,7 @@ class Window:
         parts.state.last.poses = parts.state.playback.faced(parts.state.last.poses, camera.eye)
         began = self.clock()
         look.renderer.move(parts.state.last.poses, self._moved)
-        look.renderer.draw_into(screen, parts.state.last.poses, camera, seconds=parts.state.timeline.seconds)
+        look.renderer.draw_into(screen, parts.state.last.poses, camera, seconds=parts.state.playback.film_seconds)
         if parts.budget is not None:
             # the work itself, whatever the screen waits for
             self.screen.context.gl.finish()
@@ -284,7 +287,7 @@ class Window:
         parts = self.parts
         playback, line = parts.state.playback, parts.state.timeline
         return (
-            (line.playing and line.frames > 1)
+            (line.playing and (line.frames > 1 or parts.look.background.kind == "video"))
             or bool(playback.live)
             or playback.lives
             or parts.recorder.wants_picture

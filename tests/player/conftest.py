@@ -42,7 +42,7 @@ def avatar_path(avatar, tmp_path_factory):
 def open_window(osmesa, avatar_path, tmp_path, monkeypatch):
     """Opens windows with panels, without a display, from arguments of `selfscan play`; all files are the test's own."""
     pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
-    from player.window.show import opened_show
+    from player.window.show import file_stamps, opened_show
     from player.window.window import Window
 
     monkeypatch.chdir(tmp_path)
@@ -52,8 +52,7 @@ def open_window(osmesa, avatar_path, tmp_path, monkeypatch):
     def opened(*more, size=(900, 640), live=(), script=""):
         arguments = [avatar_path, *more, "--no-floor", *(("--live", "udp:1") if live else ())]
         scene = scene_of(parse(PlayCommand, arguments, PLAY))
-        show = opened_show(scene, opened_avatars(scene), live)
-        show.followed = "--follow" in more
+        show = opened_show(scene, opened_avatars(scene), live, file_stamps(scene) if "--follow" in more else None)
         windows.append(Window(show, size=size, null=True))
         windows[-1].run(script.split(), keep=True)
         return windows[-1]

@@ -8,7 +8,7 @@ from PIL import Image
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, pixel_rays
 from command.errors import AssetError
 from player.effects.background import Background, opened_source
-from player.effects.background_source import _picture, fitted, placed, read_panorama
+from player.effects.background_source import _picture, fitted, laid, placed, read_panorama
 from player.effects.radiance import read_radiance
 from player.scene.effects import Effects
 
@@ -23,6 +23,27 @@ def test_where_a_picture_lies_and_contain_leaves_bars_of_the_colour():
     white = np.full((10, 20, 4), 255, np.uint8)
     out = fitted(white, (20, 20), "contain", (0.0, 1.0, 0.0, 1.0))
     assert (out[5:15] == 255).all() and (out[[4, 15]] == (0, 255, 0, 255)).all()
+
+
+def test_only_what_is_seen_of_a_picture_is_scaled_as_the_whole_would_be():
+    nothing = (0.0, 0.0, 0.0, 0.0)
+    picture = np.random.default_rng(1).integers(100, 150, (30, 7, 4), np.uint8)
+    picture[..., 3] = 255
+    for into in ((40, 21), (19, 90)):
+        left, top, *size = placed((7, 30), into, "cover")
+        whole = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BICUBIC))
+        gap = fitted(picture, into, "cover", nothing).astype(int) - laid(whole, left, top, into, nothing)
+        assert np.abs(gap).max() <= 1
+    strip = np.full((60_000, 1, 4), 255, np.uint8)
+    assert (fitted(strip, (1280, 720), "cover", nothing) == 255).all()
+
+
+def test_frames_of_a_folder_come_in_the_order_of_their_numbers(tmp_path):
+    for number in (1, 2, 10):
+        Image.new("RGB", (2, 2), (number,) * 3).save(tmp_path / f"{number}.png")
+    (tmp_path / "._1.png").write_bytes(b"no picture")
+    source = opened_source(Background("video", path=str(tmp_path), rate=1.0))
+    assert [source.pixels(float(k), (2, 2))[0, 0, 0] for k in range(3)] == [1, 2, 10]
 
 
 def test_a_picture_of_the_same_size_is_copied_and_alpha_lies_over_the_colour():

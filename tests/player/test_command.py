@@ -118,6 +118,8 @@ def test_a_picture_says_which_frame_it_shows_and_a_film_its_size(avatar_path, tm
     assert "view off" in said and pixels(tmp_path / "a.png").shape == (40, 32, 3)
     render_main([*base, "--frame", "7"])
     assert "frame 7 of" in (said := capsys.readouterr().out) and "draws another" not in said
+    render_main([*base, "--frame", "7", "--camera", "turntable"])
+    assert "frame 7 of" in (said := capsys.readouterr().out) and "draws another" not in said
     base = [avatar_path, "--motion", "walking", "--frames", "0:1", "--size", "33x41"]
     render_main([*base, "-o", str(tmp_path / "a.mp4")])
     assert "a.mp4: 1 frame, 34x42" in capsys.readouterr().out

@@ -94,6 +94,12 @@ def test_at_rest_far_away_or_out_of_view_it_is_the_frame_and_the_objects_of_no_f
     assert np.array_equal(*images) and calls[0] == calls[1] and objects[0] == objects[1]
 
 
+def test_a_face_too_small_to_be_seen_leaves_the_shadow_as_it_is_whatever_was_shown_before(render):
+    fresh, other = (render(faced(), SIZE, effects=replace(PLAIN, ground=Ground())) for _ in range(2))
+    other.draw([standing(TALK)], NEAR)
+    assert np.array_equal(fresh.draw([standing(TALK)], FAR), other.draw([standing(TALK)], FAR))
+
+
 def test_a_blink_is_blurred_where_it_is_seen_and_the_avatar_has_a_face(context, render):
     effects = replace(PLAIN, view="off", motion_blur=MotionBlur(0.5, 8))
     blink = lambda share: standing(doing(eyeBlinkLeft=0.5 + share))

@@ -1,6 +1,7 @@
 """The panels in the whole window program, on glfw's null platform with OSMesa; scripts press widgets by name."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from player.live.json_pose import build_pose
 from player.live.playback import LivePlayback
 from player.scene.address import Address
 from player.scene.effects import PLAIN, STUDIO, Effects
+from player.window import recorder, viewpoint
 from player.window.budgeted import NO_LIGHT, NOT_LOOSE
 from player.window.looks import BOARDS, LOOKS, SPOTLIGHT
 from player.window.panels.draw import DrawLists
@@ -207,6 +209,19 @@ def test_a_film_has_the_picture_without_panels(window, tmp_path):
     _, _, width, height = window.parts.state.layout.area
     assert frame.shape[:2] == (height + height % 2, width + width % 2)
     assert np.abs(frame[:30, -200:].astype(int) - frame[2, 2]).max() < 8  # no frame rate in the corner
+
+
+@pytest.mark.parametrize("keys", ["s wait", "o wait wait", "k j wait"])
+def test_what_cannot_be_written_is_said_and_the_window_stays(window, monkeypatch, keys):
+    for module in (recorder, viewpoint):
+        monkeypatch.setattr(module, "free_name", lambda stem, suffix: Path("absent", stem + suffix))
+    run(window, keys)
+    for _ in range(100):
+        # its thread may find out some frames later
+        if window.parts.recorder.film is not None:
+            run(window, "wait")
+    assert "there is no folder" in window.parts.state.messages.last
+    assert not window.parts.recorder.wants_picture and not window.parts.closing
 
 
 def test_small_windows_have_no_panels_but_the_line_of_text(window):

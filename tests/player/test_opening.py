@@ -16,13 +16,18 @@ from avatar.camera import project
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.read import MOTIONS_FOLDER
 from avatar.skeleton import JOINTS, joint_transforms
+from command.errors import AssetError
 from experiments.scene_docs import DOCS
-from player.effects.ground import Ground
 from player.effects.light import Light
 from player.film.command import render_main
+from player.live.inbox import Inbox
+from player.live.playback import LivePlayback
+from player.scene.address import Address
 from player.scene.effects import STUDIO
+from player.scene.framing import pelvis_height
 from player.scene.scene_file import read_scene, write_scene
 from player.window.looks import LOOKS
+from player.window.opening import kind_of
 from player.window.recent import MOST, keep_recent, read_recent
 from tests.window_script import run
 
@@ -64,11 +69,21 @@ def test_an_avatar_takes_the_place_of_the_selected_one_and_the_camera_stays(wind
     assert window.parts.state.selection.names == ["other"]
 
 
+def test_a_sender_poses_the_avatar_that_was_opened_by_its_own_size(open_window, avatar):
+    live = LivePlayback(Inbox("udp"), Address("udp", "127.0.0.1", 1), [avatar])
+    window = open_window(live=[(live, [0])])
+    levels = tuple(replace(level, positions=np.float32(0.6) * level.positions) for level in avatar.levels)
+    write_avatar("child.glb", replace(avatar, levels=levels))
+    run(window, "drop:child.glb wait")
+    assert live.heights == [pelvis_height(window.parts.state.avatars[0])] != [pelvis_height(avatar)]
+
+
 def test_films_pictures_and_panoramas_go_behind_and_leave_the_shadow_of_the_floor(window, tmp_path):
     Image.new("RGB", (64, 48), (0, 200, 0)).save(tmp_path / "green.png")
-    run(window, "press:studio")
+    run(window, "press:evening")
+    floor = window.parts.look.effects.ground
     green = picture(window, "drop:green.png wait")
-    assert (green[0, 0] == [0, 200, 0]).all() and window.parts.look.effects.ground == Ground(kind="shadow")
+    assert (green[0, 0] == [0, 200, 0]).all() and window.parts.look.effects.ground == replace(floor, kind="shadow")
     run(window, f"drop:{DOCS / 'pictures' / 'effects.mp4'} wait")
     assert window.parts.look.background.kind == "video"
     run(window, f"drop:{SKY} wait")
@@ -86,6 +101,11 @@ def test_a_bad_file_is_one_line_and_nothing_is_lost(window, tmp_path, name):
     said = window.parts.state.messages.last
     assert "\n" not in said and name in said and not said.endswith("opened")
     assert window.parts is parts and read_recent() == []
+
+
+def test_a_place_that_the_system_will_not_look_at_is_an_error_with_its_name():
+    with pytest.raises(AssetError, match="longlong"):
+        kind_of("long" * 100)
 
 
 def test_a_scene_replaces_all_once_it_is_open_and_a_pose_is_not_lost(window, tmp_path):
@@ -113,8 +133,10 @@ def test_a_scene_replaces_all_once_it_is_open_and_a_pose_is_not_lost(window, tmp
 def test_the_list_shows_what_was_opened_before_and_what_is_in_the_folder(window, tmp_path):
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner" / "walk.npz").write_bytes((MOTIONS_FOLDER / "walking.npz").read_bytes())
+    (tmp_path / "scan.tif").touch()
     keep_recent(SKY)
     run(window, "down:ctrl o up:ctrl wait wait")
+    assert "file scan.tif" not in window.panels.places, "no background can be read from it"
     assert {"recent 0", "own counting", "file inner", "folder around"} <= window.panels.places.keys()
     run(window, "press:file_inner wait press:file_walk.npz wait wait")
     assert "close list" not in window.panels.places
@@ -135,6 +157,9 @@ def test_recent_files_are_a_few_newest_first_and_a_damaged_list_begins_anew(tmp_
     assert read_recent() == [names[5], *(name for name in names[:1:-1] if name != names[5])][:MOST]
     Path(names[5]).unlink()
     assert names[5] not in read_recent()
+    # a place that the system will not look at, as one in a locked folder
+    (tmp_path / "selfscan" / "recent.json").write_text(json.dumps(["long" * 2000, "nul\0", names[4]]), "utf-8")
+    assert read_recent() == [names[4]]
     (tmp_path / "selfscan" / "recent.json").write_text(json.dumps({"a": 1}), "utf-8")
     assert read_recent() == []
 
@@ -196,6 +221,8 @@ def test_a_saved_scene_keeps_places_a_hand_made_pose_and_a_camera_path(window, t
     run(window, "k turn:60:0 right k c c wait")
     track = window.parts.state.playback.tracks[0]
     track.at, track.turn = np.array([0.25, 0.0, -0.5]), 0.5
+    opening = window.parts.opening
+    opening.scene = opening.with_avatar(0, replace(opening.scene.avatars[0], hands="flat"))
     run(window, "p m")
     pose = window.parts.posing.poses()[0]
     run(window, "down:ctrl s up:ctrl wait")

@@ -108,6 +108,7 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ('kind = "hdr"', 'kind = "sky"', 23, r"background\.kind: expected one of color, image, video, hdr, transparent"),
     ('"hdr"', '"transparent"\ncolor = "#000000"', 24, r"background\.color: a transparent background takes no color"),
     ("exposure = -1", 'color = "red"', 25, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
+    ("exposure = -1", "exposure = 2000", 25, r"background\.exposure: expected at most 30, found 2000"),
     ("vmc:0.0.0.0:39539", "osc:1", 14, r"avatar 2\.live: expected one of vmc:PORT, .*, found 'osc:1'"),
     ("start = 1", 'motion = "walking"', 13, r"avatar 2\.motion: motion and live: expected one of them, found both"),
     ('path = """mannequin:female"""\n', "", 11, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),
@@ -246,6 +247,32 @@ def test_cameras_of_a_capture_are_taken_frame_by_frame_and_the_last_one_stays(ti
         alone = pictures_in(tmp_path / f"{k}")
         assert np.array_equal(taken[k], alone[k])
     assert np.array_equal(taken[4], alone[4]) and not np.array_equal(taken[0], alone[0])
+
+
+@pytest.mark.parametrize("motion", ["walking", None])
+def test_cameras_of_a_file_follow_the_first_motion_at_any_rate_in_films_and_the_window(tmp_path, motion):
+    size = (40, 48)
+    cameras = [orbit_camera((0, 0.9, 0), 3.0, 0.05 * k, 0.1, size) for k in range(60)]
+    write_cameras(tmp_path / "cameras.npz", cameras)
+    scene = Scene((SceneAvatar("mannequin", motion),), (SceneCamera("file", str(tmp_path / "cameras.npz")),))
+    for rate in (10.0, 30.0, 60.0):
+        stage = Stage(scene, 1)
+        stage.film_at(rate)
+        after_a_second = stage.camera_at(None, 0, stage.frames, size)(rate, np.zeros(3))
+        assert np.allclose(after_a_second.camera_from_world, cameras[30].camera_from_world)
+    show = opened_show(scene, opened_avatars(scene))
+    assert np.allclose(show.cameras.camera(size, 1.0, 30.0).camera_from_world, cameras[30].camera_from_world)
+    if motion is None:
+        # a body that stands still is shown as long as there are cameras
+        assert (stage.frames, show.playback.timeline.frames) == (120, 60)
+
+
+def test_a_turntable_holds_the_moment_asked_for_at_any_rate():
+    stage = Stage(Scene((SceneAvatar("mannequin", "walking"),), (SceneCamera("turntable"),)), 1)
+    asked = stage.poses(14)[0]
+    stage.hold(14 / stage.rate)
+    stage.film_at(10.0)
+    assert np.array_equal(stage.poses(3)[0].axis_angle, asked.axis_angle)
 
 
 def test_a_capture_is_a_camera_by_its_folder_and_part(tmp_path):

@@ -79,6 +79,17 @@ def test_tracks_have_their_own_time_and_place_and_read_blocks():
     assert np.array_equal(pose[1:], axis_angle[0, 1:])
 
 
+def test_a_film_behind_goes_on_where_the_timeline_has_one_frame():
+    still, moving = Playback([numbered(1)]), Playback([numbered(10, 10.0)])
+    for _ in range(30):
+        still.advance(0.05)
+        moving.advance(0.05)
+    assert still.film_seconds == pytest.approx(1.5) and moving.film_seconds == moving.timeline.seconds
+    still.timeline.playing = False
+    still.advance(1.0)
+    assert still.film_seconds == pytest.approx(1.5)
+
+
 def test_a_face_travels_from_its_file_to_the_poses_of_a_track(tmp_path):
     face, gaze = np.linspace(0, 1, 4 * 52).reshape(4, 52), np.linspace(-0.3, 0.3, 16).reshape(4, 2, 2)
     clip = Clip(np.zeros((4, 52, 3)), np.zeros((4, 3)), 10.0, face=face, gaze=gaze)

@@ -12,11 +12,15 @@ import pytest
 from pictures import pixels
 from refusals import refused
 
+import player.window.window
 from avatar.gltf.avatar_file import write_avatar
 from command.errors import AssetError
 from player.play_command import play_main
 from player.scene.camera_path import CameraPath
 from player.scene.cameras import Cameras, Orbit
+from player.scene.opened import opened_avatars
+from player.scene.scene import Scene, SceneAvatar
+from player.scene.scene_file import write_scene
 from player.window.script import GESTURES, steps
 from player.window.window import Window
 from tests.window_script import run
@@ -163,6 +167,25 @@ def test_without_a_display_or_imgui_bundle_one_line_says_what_to_do(avatar_path,
     done = subprocess.run([sys.executable, "-c", code, "play", avatar_path], capture_output=True, text=True)
     assert done.returncode == 1 and done.stderr.count("\n") == 1
     assert "selfscan play needs the package 'imgui-bundle'" in done.stderr and ".[gui]" in done.stderr
+
+
+def test_files_of_a_scene_that_was_opened_are_followed_from_before_they_are_read(
+    open_window, avatar, tmp_path, monkeypatch, capsys
+):
+    file = tmp_path / "me.glb"
+    write_avatar(file, avatar)
+    write_scene(tmp_path / "me.toml", Scene((SceneAvatar(str(file)),)))
+    window = open_window(str(file), "--follow", "--no-gui")
+
+    def then_replaced(scene):
+        read = opened_avatars(scene)
+        write_avatar(file, avatar)
+        return read
+
+    monkeypatch.setattr(player.window.window, "opened_avatars", then_replaced)
+    run(window, "drop:me.toml wait")
+    said = capsys.readouterr().out
+    assert "me.toml opened" in said and said.count("a new one is shown") == 1
 
 
 def test_orbit_and_turntable_stay_finite_and_choose_what_is_there():

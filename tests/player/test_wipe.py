@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import glfw
@@ -12,17 +13,19 @@ from refusals import refused
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, pixel_rays, project, write_cameras
 from avatar.gltf.avatar_file import write_avatar
-from avatar.motion.amass import write_amass
+from avatar.motion.amass import read_video_poses, write_amass
 from avatar.motion.clip import Clip
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
 from command.command_line import parse
 from command.errors import AssetError
 from player.draw.posing import posed_vertices
+from player.film.stage import Stage
 from player.play_command import PLAY, PlayCommand, scene_of
 from player.scene.capture_view import open_capture
 from player.scene.opened import opened_avatars
 from player.scene.renderer import Renderer
+from player.scene.scene import Scene, SceneAvatar, SceneCamera
 from player.window.picture import PictureLayer
 from player.window.show import opened_show
 from player.window.window import Window
@@ -114,6 +117,15 @@ def test_the_avatar_lies_on_the_video_that_it_was_filmed_in(window, capture):
         assert inner.sum() > 0.98 * green[:, line + 6 :].sum()  # the background where the video is hidden
 
 
+def test_a_capture_is_filmed_with_its_poses_as_the_window_shows_it(capture):
+    scene = Scene((SceneAvatar("mannequin", start=0.1),), (SceneCamera("capture", str(capture[0])),))
+    stage, show = Stage(scene, 1), opened_show(scene, opened_avatars(scene))
+    poses = read_video_poses(capture[0] / "body" / "poses.npz", FRAMES)
+    assert stage.frames == show.playback.timeline.frames == FRAMES - 1
+    for pose in (stage.poses(1)[0], show.playback.tracks[0].pose(0.1)):
+        assert np.array_equal(pose.axis_angle, poses.axis_angle[2])
+
+
 def test_the_wipe_parts_video_and_avatar_at_its_line(window, capture):
     window.parts.state.timeline.seek(1)
     window.parts.wipe.behind = False
@@ -135,7 +147,8 @@ def test_beside_the_video_is_nothing_but_the_background(window):
     window.parts.wipe.move(0.0)
     cameras = window.parts.viewpoint.cameras
     # near enough to fill more than the video
-    cameras.capture = [Camera(c.K @ np.diag([4.0, 4.0, 1.0]), c.camera_from_world, c.size) for c in cameras.capture]
+    nearer = [replace(one, K=one.K @ np.diag([4.0, 4.0, 1.0])) for one in cameras.capture.cameras]
+    cameras.capture = replace(cameras.capture, cameras=nearer)
     window.run(["wait", "wait"], keep=True)
     image = window.parts.state.last.image[:230, :, :3].astype(int)
     left = round((400 - 192) / 2)
@@ -166,7 +179,7 @@ def test_the_head_stands_before_the_t_pose_and_no_picture_is_named_when_shown(av
     view = open_capture(copy)
     refused(AssetError, r"000000.png: expected a picture", view.image, 0)
     refused(AssetError, "should be 96x128 as its camera, is 5x5", view.image, 1)
-    refused(ValueError, "part should be one of", open_capture, copy, "foot")
+    refused(AssetError, "part should be one of", open_capture, copy, "foot")
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ from player.budget.table import cache_folder, rung_within
 from player.effects.background import Background
 from player.scene.effects import PLAIN
 from player.scene.scene import Scene, SceneAvatar
+from player.scene.scene_file import write_scene
 from player.window.panels.hud_panel import status
 from player.window.show import opened_show
 from player.window.window import Window
@@ -151,6 +152,15 @@ def test_a_budget_is_said_and_rungs_are_what_all_avatars_of_a_scene_hold(tmp_pat
     assert {rung.view for rung in scene_rungs([avatar, plain])} == {"off"}
 
 
+def test_a_view_mode_that_no_level_holds_is_one_line(tmp_path, capsys, avatar):
+    level = replace(avatar.levels[0], features=None)
+    plain = replace(avatar, levels=(level,), network=None, linear=None, default_view="off")
+    write_avatar(tmp_path / "plain.glb", plain)
+    asked = [str(tmp_path / "plain.glb"), "--view", "linear", "--budget", "50ms"]
+    assert main(["render", *asked, "-o", str(tmp_path / "a.png")]) == 1
+    assert "view linear: not in every avatar's file" in (said := capsys.readouterr().err) and said.count("\n") == 1
+
+
 def test_the_window_goes_down_under_load_and_up_again(said, monkeypatch, avatar):
     """Its own clock says how long drawing took: 1 ms of the scene's time, times the load."""
     scene = Scene((SceneAvatar("mannequin", "counting"),))
@@ -189,6 +199,20 @@ def test_the_window_goes_down_under_load_and_up_again(said, monkeypatch, avatar)
         window.parts.look.change(effects=dataclasses.replace(window.parts.look.effects, view="network"))
         frames(2)
         assert budget.words == "budget off" and seen[-1] == "network"
+    finally:
+        window.close()
+
+
+def test_a_scene_that_the_window_opens_is_drawn_within_its_budget(said, avatar, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    scene = Scene((SceneAvatar("mannequin", "counting"),))
+    write_scene(tmp_path / "same.toml", scene)
+    window = Window(opened_show(scene, [avatar]), size=(96, 96), null=True, budget=13.0)
+    try:
+        before = window.parts.budget
+        window.on_drop([str(tmp_path / "same.toml")])
+        window.draw()
+        assert window.parts.budget not in (before, None) and window.parts.budget.budget == 13.0
     finally:
         window.close()
 

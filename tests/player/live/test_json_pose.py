@@ -80,6 +80,8 @@ def test_one_sender_is_followed_at_a_time_a_restarted_one_at_once():
     found = decoder.decode(message(10, sender="b"), 2.0, counters)
     assert found is not None and found.content.sender == "b" and found.restarted and counters.lost == 0
     decoder, counters = JsonDecoder(), Counters()
+    assert all(decoder.decode(message(0, seconds=n), 0.0, counters) for n in range(3)) and counters.lost == 0
+    decoder, counters = JsonDecoder(), Counters()
     feed(range(1000, 1010), decoder, counters)
     found = decoder.decode(message(0), 1.0, counters)
     assert found is not None and found.restarted and counters.late == counters.lost == 0

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,10 +25,12 @@ from player.draw.drawing import Pose
 from player.live.command import encoder, send, stream_main, timed_poses
 from player.live.inbox import Inbox
 from player.live.json_pose import build_pose
+from player.live.osc import build_message
 from player.live.playback import LivePlayback
 from player.live.receiver import listen, udp_socket
 from player.play_command import play_main
 from player.scene.address import Address, parse_address
+from player.scene.framing import pelvis_height
 
 
 def free_port():
@@ -375,3 +378,16 @@ def test_roots_are_scaled_placed_and_lifted(avatar):
     assert np.allclose(feed(1, [6.0, 1.8, 7.0], 2 * height), [0.5, 0.9, 0], atol=1e-5)
     live.calibrate()
     assert np.allclose(feed(2, [6.0, 0.0, 7.0], 2 * height), [0, height, 0], atol=1e-5)  # no height was measured
+    child = replace(avatar, levels=(replace(avatar.levels[0], positions=0.6 * avatar.levels[0].positions),))
+    live.fit(0, child)
+    assert np.allclose(feed(3, [6.0, 0.0, 7.0], 2 * height), [0, pelvis_height(child), 0], atol=1e-5)
+
+
+def test_a_first_frame_of_vmc_that_has_arrived_in_part_does_not_lift_the_avatar(avatar):
+    inbox = Inbox("vmc")
+    (early, _), (late, _) = playback_of(avatar, inbox), playback_of(avatar, inbox)
+    for n in range(2):
+        for bone, y in [("RightFoot", -0.4), ("Hips", 0.95)]:
+            inbox.feed(build_message("/VMC/Ext/Bone/Pos", bone, 0.0, y, 0.0, 0.0, 0.0, 0.0, 1.0), 100 + n / 60)
+            early.poses()
+    assert np.array_equal(early.poses()[0].root, late.poses()[0].root)

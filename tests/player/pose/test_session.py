@@ -96,6 +96,17 @@ def test_a_drag_is_one_step_and_one_that_led_nowhere_is_none():
     assert s.pose is start and not s.history.dirty
 
 
+def test_a_drag_that_comes_back_leaves_a_joint_beyond_its_limits_as_it_was():
+    bent = np.zeros((52, 3))
+    bent[J["left_elbow"]] = (0, 0.35, 0)  # the wrong way, as trackers have it
+    s = session(axis_angle=bent)
+    start, place, mark = s.pose, s.world()[J["left_wrist"], :3, 3], object()
+    for away in ([0, 0.2, 0.1], [0, 0, 0]):
+        s.reach(start, "left_hand", place + away, drag=mark)
+    s.history.end_drag()
+    assert s.pose is start and not s.history.past
+
+
 def test_a_change_after_undo_forgets_what_could_be_redone_and_old_steps_are_dropped(monkeypatch):
     monkeypatch.setattr("player.pose.history.STEPS", 20)
     s = session()
