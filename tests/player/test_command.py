@@ -144,7 +144,7 @@ def test_the_window_has_a_floor_unless_it_would_hide_what_is_behind():
         assert (effects.ground is None) == (effects.contact is None)
         return effects.ground
 
-    assert ground() == Ground() and ground(background=Background(color=(0, 0, 0, 1))) == Ground()
+    assert ground() == Ground() and ground(background=Background(color=(0.0, 0.0, 0.0, 1.0))) == Ground()
     assert ground(background=Background("video", path="a.mp4")) == Ground(kind="shadow")
     assert ground(floor=False) is None and ground(capture="folder") is None
 
