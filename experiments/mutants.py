@@ -66,7 +66,8 @@ PLANTED = (
             HARD + "registration.py"),
     Planted("geometry/least_squares.py", "S[i] -= W[-1].T @ W[-1]", "S[i] += W[-1].T @ W[-1]",
             "tests/geometry/test_icp.py"),
-    Planted("geometry/least_squares.py", "if not other_cost <= cost:", "if other_cost < 0:", "tests/geometry/test_icp.py"),
+    Planted("geometry/least_squares.py", "if not other_cost <= cost:", "if other_cost < 0:",
+            "tests/geometry/test_icp.py"),
     # volume rendering and losses: clamps, epsilons, branches not taken
     Planted("train/render.py", "log_phi[:, :-1]).clamp_max(0)", "log_phi[:, :-1])", HARD + "volume_rendering.py"),
     Planted("train/render.py", "scaled.clamp(-1e6, 1e6)", "scaled", HARD + "volume_rendering.py"),
