@@ -48,6 +48,8 @@ ROUND, SOFT = 10, 0.002
 # a ring of a limb: metres along it, cells round it, deviation in rings of what lies beside it and counts as well, cells
 # that must be seen before it is closed by them
 RING, TURN, BESIDE, KNOWN = 0.0025, 90, 1.0, 4
+# metres that what a ring shows may lie farther in or out than a texel: a skirt is round a leg, and none of it
+LAYER = 0.015
 # how far from its materials' colors an unseen texel's may be
 NEAR = 6 / 255
 # metres over which one material goes over into another, the texels that this is asked of, and how much more than others
@@ -106,8 +108,7 @@ def round_limbs(
                 facing = lambda some, out=out: some[rings.faces_out(surface, some) == out]
                 wanted = own.copy()
                 wanted[own] = rings.faces_out(surface, asked) == out
-                found = rings.closed(surface, color, facing(shown), rows[wanted])
-                result[wanted] = result[wanted] if found is None else found
+                result[wanted] = rings.closed(surface, color, facing(shown), rows[wanted], result[wanted])
     return result
 
 
@@ -143,36 +144,37 @@ class Rings(NamedTuple):
         outward = (surface.points[rows] - self.middle) @ self.frame[1:].T
         return ((surface.normals[rows] @ self.frame[1:].T) * outward).sum(1) > 0
 
-    def cells(self, points: Float[Array, "points 3"]) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
-        """Ring and cell of it, with fractions: those of the first cell's middle are 0."""
+    def cells(self, points: Float[Array, "points 3"]) -> tuple[Float[Array, "points"], ...]:
+        """Ring and cell of it, with fractions: those of the first cell's middle are 0. And metres from the axis."""
         along, x, y = ((points - self.middle) @ self.frame.T).T
         ring = np.clip((along - self.low) / RING - 0.5, 0, self.count - 1)
-        return ring, (np.arctan2(y, x) / (2 * np.pi) * TURN - 0.5) % TURN
+        return ring, (np.arctan2(y, x) / (2 * np.pi) * TURN - 0.5) % TURN, np.hypot(x, y)
 
     def closed(
         self, surface: TexelSurface, color: Float[Array, "texels 3"], given: Integer[Array, "given"],
-        asked: Integer[Array, "asked"],
-    ) -> Float[Array, "asked 3"] | None:  # fmt: skip
-        """Colors round the limb for texels that are asked; None where too little of it was seen."""
-        ring, turn = (np.round(values).astype(int) for values in self.cells(surface.points[given]))
-        cell = ring * TURN + turn % TURN
-        sums = [np.bincount(cell, weight, self.count * TURN) for weight in (None, *color[given].T)]
-        sums = np.stack(sums, -1).reshape(self.count, TURN, 4).astype(np.float64)
+        asked: Integer[Array, "asked"], otherwise: Float[Array, "asked 3"],
+    ) -> Float[Array, "asked 3"]:  # fmt: skip
+        """Colors round the limb for texels that are asked; `otherwise` where too little of it was seen."""
+        ring, turn, reach = self.cells(surface.points[given])
+        cell = np.round(ring).astype(int) * TURN + np.round(turn).astype(int) % TURN
+        sums = [np.bincount(cell, weight, self.count * TURN) for weight in (None, *color[given].T, reach)]
+        sums = np.stack(sums, -1).reshape(self.count, TURN, 5).astype(np.float64)
         sums = gaussian_filter1d(sums, BESIDE, 0, mode="constant", truncate=2)
         sure = sums[..., 0] > 0.05
         whole = np.flatnonzero(sure.sum(1) >= KNOWN)
         if not len(whole):
-            return None
+            return otherwise
         # a cell more, which is the first again
-        grid, every = np.empty((len(whole), TURN + 1, 3)), np.arange(TURN + 1)
+        grid, every = np.empty((len(whole), TURN + 1, 4)), np.arange(TURN + 1)
         for row, number in enumerate(whole):
             there = np.flatnonzero(sure[number])
             shown = sums[number, there, 1:] / sums[number, there, :1]
             grid[row] = np.stack([np.interp(every, there, channel, period=TURN) for channel in shown.T], -1)
-        ring, turn = self.cells(surface.points[asked])
+        ring, turn, reach = self.cells(surface.points[asked])
         # between the nearest of these rings on both sides
         at = np.interp(ring, whole, np.arange(len(whole))), turn
-        return np.stack([map_coordinates(grid[..., k], at, order=1, mode="nearest") for k in range(3)], -1)
+        *found, shown = (map_coordinates(grid[..., k], at, order=1, mode="nearest") for k in range(4))
+        return np.where((np.abs(shown - reach) < LAYER)[:, None], np.stack(found, -1), otherwise)
 
 
 def seen_places(surface: TexelSurface, seen: Bool[Array, "texels"], piece: int) -> Integer[Array, "places"]:

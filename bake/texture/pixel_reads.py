@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
 from numpy import ndarray as Array
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.sparse import csr_matrix
 
 from avatar.camera import Camera, pixel_rays
@@ -41,6 +41,9 @@ COSINE_POWER, SLANTED = {"body": 2, "head": 8, "hand_left": 2, "hand_right": 2},
 LEAST_WEIGHT = 1e-3
 # metres beside an outline or a jump in depth of JUMP metres, where pixels count RIM as much
 RIM_WIDTH, JUMP, RIM = 0.003, 0.015, 0.05
+# metres beside what stands FRONT nearer to the camera within which a pixel of the body's video says nothing where poses
+# were estimated: a hem, or an arm, is not where it was drawn
+COVERED, FRONT = 0.03, 0.03
 # how much the body's video counts where another video looks closer
 FAR_VIDEO = 0.1
 # share of a video's own joints in a place's skin weights: none of the place's pixels count at the first, all above
@@ -139,6 +142,7 @@ class Belief(NamedTuple):
     # cosine c between normal and view of the frame that sees a vertex best; one of x counts c^2 (x / c)^power
     best: Float[Array, "corners"]
     power: int
+    covered: float = 0.0  # metres beside what stands before it within which a pixel does not count
 
 
 class FrameLight(NamedTuple):
@@ -283,7 +287,8 @@ def video_reads(
         # every other frame tells it well enough
         frames = islice(posed_frames(mesh, video, head_from_canonical), 0, None, 2)
         best = np.max([frame.cosine for frame in frames], 0).clip(SLANTED, 1)
-    belief = Belief(vertex_importance(mesh, video.part), best, power)
+    covered = COVERED if video.part == "body" and mesh.chin is not None else 0.0
+    belief = Belief(vertex_importance(mesh, video.part), best, power, covered)
 
     def of_drawn(drawn_frame: tuple[int, PosedFrame, Fragments]) -> PixelReads:
         """What the pixels of a drawn frame read."""
@@ -346,6 +351,8 @@ def frame_reads(
     values = np.stack([frame.cosine, belief.importance, belief.best], 1).astype(np.float32)
     cosine, important, best = blended(values, corners, weight).mean(1).T
     visible = important * (cosine > GRAZING) * np.where(_near_rim(frame, drawn, hit, sure)[whole], RIM, 1.0)
+    if belief.covered:
+        visible *= ~_beside_front(frame, drawn, hit, belief.covered, s)[whole]
     counts = visible * best**2 * (np.maximum(cosine, 0) / best) ** belief.power
     if lit is not None:
         # a burnt pixel may have been brighter, and what no light reached shows no color
@@ -392,10 +399,26 @@ def _near_rim(
     bad[:, :-1] |= across
     bad[1:] |= down
     bad[:-1] |= down
-    sample = float(np.median(drawn.depth[hit])) / (frame.camera.K[0, 0] * s)
-    reach = int(np.ceil(RIM_WIDTH / sample))
-    bad = maximum_filter(bad, size=2 * reach + 1)
+    bad = maximum_filter(bad, size=_window(frame, drawn, hit, RIM_WIDTH, s))
     return np.asarray(bad.reshape(height, s, width, s).any((1, 3)))
+
+
+def _beside_front(
+    frame: PosedFrame, drawn: Fragments, hit: Bool[Array, "rows columns"], width: float, s: int
+) -> Bool[Array, "height width"]:
+    """Pixels within `width` metres of what stands FRONT nearer to the camera."""
+    rows, columns = hit.shape
+    if not hit.any():
+        return np.zeros((rows // s, columns // s), bool)
+    depth = np.where(hit, drawn.depth, 1e3)
+    front = depth - minimum_filter(depth, size=_window(frame, drawn, hit, width, s)) > FRONT
+    return np.asarray(front.reshape(rows // s, s, columns // s, s).any((1, 3)))
+
+
+def _window(frame: PosedFrame, drawn: Fragments, hit: Bool[Array, "rows columns"], metres: float, s: int) -> int:
+    """Samples of a square that reaches so far to each side of its middle, where the person stands."""
+    sample = float(np.median(drawn.depth[hit])) / (frame.camera.K[0, 0] * s)
+    return 2 * int(np.ceil(metres / sample)) + 1
 
 
 def samples_for(pixel: float, texel: float) -> int:

@@ -11,8 +11,9 @@ no worse than they agree among themselves. Cells are tried from outside inwards 
 c(y) is the median of what views show that see y with no hull before it. Where that is not known nothing is carved:
 skin that was never seen says nothing.
 
-Where shoulders are not where the template has them, the hull holds cloth. With colors that are surely hair's and such
-that are surely not, a cell is empty too when half of the views that see it show rather the others.
+Where shoulders are not where the template has them, the hull holds cloth, and shine moves over hair with the eye. With
+colors that are surely hair's and such that are surely not, a cell is empty too when half of the views that see it show
+rather the others, and hair, whatever views agree on, when enough of them show rather hair's.
 """
 
 from collections.abc import Sequence
@@ -51,6 +52,9 @@ ROUNDS = 24
 # a distance of colors in [0, 1] that no hair has; colors of either kind to which one is compared, and steps of each
 # channel in the table of the answers
 UNLIKE, ALIKE, STEPS = 0.06, 8, 32
+# views that show hair's colors, out of 1, from which a cell is hair: behind the face, and beside it, where cells of a
+# cheek are seen before hair
+BEHIND, BESIDE = 0.5, 0.75
 # metres: behind a cell nearer to the template than this lies the template
 TOUCHING = 0.012
 
@@ -102,7 +106,7 @@ def carve_hollows(
     solid, hair = solid.copy(), hair.copy()
     carved = np.zeros_like(hair)
     behind = list(on_all_cores(lambda view: rasterise(subject.vertices, subject.faces, view.camera), views))
-    unlike = None
+    kinds = None
     for _ in range(ROUNDS):
         outer = solid & ~np.asarray(ndimage.binary_erosion(solid), bool)
         surface = np.argwhere(outer)
@@ -114,9 +118,11 @@ def carve_hollows(
         shown, expected = _shown_behind(views, behind, looks, colors, is_hair, subject)
         empty = _empty(shown, expected, DISAGREE if sure is None else ESTIMATED)
         if sure is not None:
-            grows = sure.hair[tuple(surface[is_hair].T)]
-            unlike = unlike_hair(shown[:, grows], colors[sure.other]) if unlike is None else unlike
-            empty |= ~grows & _mostly(unlike, shown)
+            at = tuple(surface[is_hair].T)
+            grows = sure.hair[at]
+            kinds = ColorKinds.between(shown[:, grows], colors[sure.other]) if kinds is None else kinds
+            empty &= kinds.share(kinds.hair, shown) < np.where(sure.behind[at], BEHIND, BESIDE)
+            empty |= ~grows & (kinds.share(kinds.other, shown) >= 0.5)
         gone = surface[is_hair][empty]
         if len(gone) == 0:
             break
@@ -130,27 +136,35 @@ class Sure(NamedTuple):
     """What is known of an estimated person before any color is."""
 
     hair: Bool[Array, "x y z"]  # cells that are hair, where the hull holds them
+    behind: Bool[Array, "x y z"]  # cells behind the face, at any height
     other: Bool[Array, "vertices"]  # the template's skin and clothes that no hair covers
 
 
-def unlike_hair(hair: Float[Array, "*n 3"], others: Float[Array, "m 3"]) -> Bool[Array, "r g b"] | None:
-    """Of all colors those that are rather `others` than `hair`; NaN is no color; None: too few are known."""
-    hair, others = (some.reshape(-1, 3)[np.isfinite(some).all(-1).ravel()] for some in (hair, others))
-    if min(len(hair), len(others)) < ALIKE:
-        return None
-    every = (np.moveaxis(np.indices((STEPS,) * 3), 0, -1).reshape(-1, 3) + 0.5) / STEPS
-    from_hair, from_others = (KDTree(some).query(every, ALIKE)[0].mean(1) for some in (hair, others))
-    return ((from_hair > UNLIKE) & (from_hair > 1.5 * from_others)).reshape((STEPS,) * 3)
+class ColorKinds(NamedTuple):
+    """Of all colors, STEPS of each channel, those that are rather hair's, and those that are rather others'."""
 
+    hair: Bool[Array, "r g b"]
+    other: Bool[Array, "r g b"]
 
-def _mostly(unlike: Bool[Array, "r g b"] | None, shown: Float[Array, "views k 3"]) -> Bool[Array, "k"]:
-    """Which cells half of the views that see them show in such colors."""
-    seen = np.isfinite(shown).all(2)
-    if unlike is None:
-        return np.zeros(shown.shape[1], bool)
-    red, green, blue = ((STEPS * np.nan_to_num(shown[..., c])).astype(int).clip(0, STEPS - 1) for c in range(3))
-    number = seen.sum(0)
-    return (number >= SEEN_BY) & (2 * (unlike[red, green, blue] & seen).sum(0) >= number)
+    @classmethod
+    def between(cls, hair: Float[Array, "*n 3"], others: Float[Array, "m 3"]) -> "ColorKinds":
+        """By colors known of both; NaN is no color. Where too few are known, none is either."""
+        hair, others = (some.reshape(-1, 3)[np.isfinite(some).all(-1).ravel()] for some in (hair, others))
+        shape = (STEPS,) * 3
+        if min(len(hair), len(others)) < ALIKE:
+            return cls(np.zeros(shape, bool), np.zeros(shape, bool))
+        every = (np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 3) + 0.5) / STEPS
+        from_hair, from_others = (KDTree(some).query(every, ALIKE)[0].mean(1).reshape(shape) for some in (hair, others))
+        return cls(
+            (from_hair < UNLIKE) & (1.5 * from_hair < from_others), (from_hair > UNLIKE) & (from_hair > 1.5 * from_others)
+        )
+
+    def share(self, kind: Bool[Array, "r g b"], shown: Float[Array, "views k 3"]) -> Float[Array, "k"]:
+        """Of the views that see each cell those that show a color of one kind; 0 where fewer than SEEN_BY do."""
+        seen = np.isfinite(shown).all(2)
+        red, green, blue = ((STEPS * np.nan_to_num(shown[..., c])).astype(int).clip(0, STEPS - 1) for c in range(3))
+        number = seen.sum(0)
+        return np.where(number < SEEN_BY, 0, (kind[red, green, blue] & seen).sum(0) / np.maximum(number, 1))
 
 
 def pixels_of(

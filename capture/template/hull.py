@@ -168,7 +168,8 @@ def carve(
     low = template.low.astype(np.float64)
     axes = [low[i] + cell * np.arange(distance.shape[i]) for i in range(3)]
     _, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
-    behind = (y > scalp.neck + CHIN) & (z < scalp.middle[1])
+    back = z < scalp.middle[1]
+    behind = (y > scalp.neck + CHIN) & back
     held = distance < 0
     asked = np.argwhere(~held & (distance < FARTHEST))
     share, seen = background_share(low + cell * asked, views)
@@ -176,7 +177,7 @@ def carve(
     if pictures is not None:
         sure = None
         if pictures.bare is not None:
-            sure = Sure(np.broadcast_to(behind, held.shape), pictures.bare)
+            sure = Sure(*(np.broadcast_to(cells, held.shape) for cells in (behind, back)), pictures.bare)
         held &= ~carve_hollows(held, held & (distance > cell), low, cell, pictures.subject, pictures.views, sure)
     hull = distance_to(~held) * cell > ERODED
     head = y > scalp.neck + np.where(z > scalp.middle[1] - NAPE, trust.over, 0.0)

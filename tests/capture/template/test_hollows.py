@@ -85,15 +85,22 @@ def test_cells_that_show_what_lies_behind_them_are_carved_and_hair_and_skin_stay
     assert (carved & NOTHING).sum() > 0.5 * NOTHING.sum()
 
 
-def test_what_shows_the_colors_of_the_shirt_is_no_hair():
+@pytest.mark.parametrize("shine", [0.0, 0.3])
+def test_what_shows_the_colors_of_the_shirt_is_no_hair_and_what_shows_those_of_hair_is_although_views_disagree(shine):
     cloth = cells((-0.10, -0.05, -0.03), (-0.06, 0.05, 0.03))
-    hair, views = TRUE | cloth, filmed(shoulder=True)
+    hair, views = TRUE | cloth, filmed(shine, shoulder=True)
     solid = hair | BALL
-    sure = Sure(TRUE & cells((0.06, 0, -0.03), (0.10, 0.05, 0.03)), template().vertices[:, 1] < -0.03)
+    grows = TRUE & cells((0.06, 0, -0.03), (0.10, 0.05, 0.03))
+    sure = Sure(grows, TRUE, template().vertices[:, 1] < -0.03)
     found = carve_hollows(solid, hair, LOW, CELL, template(), views, sure)
     outside = cloth & ~BALL
     assert (found & outside).sum() > 0.9 * outside.sum()
     assert (found & TRUE).sum() < 0.05 * TRUE.sum()
+    if shine:
+        # by agreement alone it would have gone
+        sure = sure._replace(behind=np.zeros_like(TRUE), hair=np.zeros_like(TRUE))
+        assert (carve_hollows(solid, hair, LOW, CELL, template(), views, sure) & TRUE).sum() > 0.3 * TRUE.sum()
+        return
     # masks alone cannot tell
     assert not (carve_hollows(solid, hair, LOW, CELL, template(), views) & outside).sum() > 0.1 * outside.sum()
 
