@@ -48,8 +48,9 @@ ROUND, SOFT = 10, 0.002
 # a ring of a limb: metres along it, cells round it, deviation in rings of what lies beside it and counts as well, cells
 # that must be seen before it is closed by them
 RING, TURN, BESIDE, KNOWN = 0.0025, 90, 1.0, 4
-# metres that what a ring shows may lie farther in or out than a texel: a skirt is round a leg, and none of it
-LAYER = 0.015
+# how many times farther from the axis, or nearer, what a ring shows may be than a texel: a skirt round a leg is none of
+# it
+LAYER = 1.25
 # how far from its materials' colors an unseen texel's may be
 NEAR = 6 / 255
 # metres over which one material goes over into another, the texels that this is asked of, and how much more than others
@@ -172,9 +173,15 @@ class Rings(NamedTuple):
             grid[row] = np.stack([np.interp(every, there, channel, period=TURN) for channel in shown.T], -1)
         ring, turn, reach = self.cells(surface.points[asked])
         # between the nearest of these rings on both sides
-        at = np.interp(ring, whole, np.arange(len(whole))), turn
-        *found, shown = (map_coordinates(grid[..., k], at, order=1, mode="nearest") for k in range(4))
-        return np.where((np.abs(shown - reach) < LAYER)[:, None], np.stack(found, -1), otherwise)
+        at = np.interp(ring, whole, np.arange(len(whole)))
+        low = np.floor(at)
+        total, result = np.zeros(len(asked)), np.zeros((len(asked), 3))
+        for row, weight in ((low, 1 - at + low), (np.minimum(low + 1, len(whole) - 1), at - low)):
+            *found, shown = (map_coordinates(grid[..., k], (row, turn), order=1, mode="nearest") for k in range(4))
+            share = (weight + 1e-9) * (shown < LAYER * reach) * (reach < LAYER * shown)
+            total += share
+            result += share[:, None] * np.stack(found, -1)
+        return np.where(total[:, None] > 0, result / np.maximum(total, 1e-12)[:, None], otherwise)
 
 
 def seen_places(surface: TexelSurface, seen: Bool[Array, "texels"], piece: int) -> Integer[Array, "places"]:

@@ -406,13 +406,17 @@ def _near_rim(
 def _beside_front(
     frame: PosedFrame, drawn: Fragments, hit: Bool[Array, "rows columns"], width: float, s: int
 ) -> Bool[Array, "height width"]:
-    """Pixels within `width` metres of what stands FRONT nearer to the camera."""
+    """Pixels within `width` metres of the edge of what stands FRONT nearer to the camera."""
     rows, columns = hit.shape
     if not hit.any():
         return np.zeros((rows // s, columns // s), bool)
-    depth = np.where(hit, drawn.depth, 1e3)
-    front = depth - minimum_filter(depth, size=_window(frame, drawn, hit, width, s)) > FRONT
-    return np.asarray(front.reshape(rows // s, s, columns // s, s).any((1, 3)))
+    depth = np.where(hit, drawn.depth, np.float32(1e3))
+    front = np.full_like(depth, np.inf)
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        for near, far in ((one, other), (other, one)):
+            front[near][depth[far] - depth[near] > FRONT] = depth[near][depth[far] - depth[near] > FRONT]
+    behind = depth - minimum_filter(front, size=_window(frame, drawn, hit, width, s)) > FRONT
+    return np.asarray(behind.reshape(rows // s, s, columns // s, s).any((1, 3)))
 
 
 def _window(frame: PosedFrame, drawn: Fragments, hit: Bool[Array, "rows columns"], metres: float, s: int) -> int:

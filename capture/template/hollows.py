@@ -155,9 +155,8 @@ class ColorKinds(NamedTuple):
             return cls(np.zeros(shape, bool), np.zeros(shape, bool))
         every = (np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 3) + 0.5) / STEPS
         from_hair, from_others = (KDTree(some).query(every, ALIKE)[0].mean(1).reshape(shape) for some in (hair, others))
-        return cls(
-            (from_hair < UNLIKE) & (1.5 * from_hair < from_others), (from_hair > UNLIKE) & (from_hair > 1.5 * from_others)
-        )
+        near = from_hair < UNLIKE
+        return cls(near & (1.5 * from_hair < from_others), ~near & (from_hair > 1.5 * from_others))
 
     def share(self, kind: Bool[Array, "r g b"], shown: Float[Array, "views k 3"]) -> Float[Array, "k"]:
         """Of the views that see each cell those that show a color of one kind; 0 where fewer than SEEN_BY do."""

@@ -135,6 +135,22 @@ def test_outlines_hardly_count(rasteriser, painted, videos):
     assert (half.weight < 0.06).sum() > 10 and (whole.weight > 0.9).sum() > 100
 
 
+def test_what_lies_beside_something_in_front_does_not_count_where_poses_were_estimated(rasteriser, painted, videos):
+    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
+    video, ones, middle = videos.video("body"), np.ones(len(mesh.positions)), SIZE[0] // 2
+    frame = next(posed_frames(mesh, video, videos.head_from_canonical))
+    drawn = drawn_finer(rasteriser, mesh, frame, 1)
+    nearer = drawn._replace(depth=drawn.depth - 0.2 * (np.arange(SIZE[0]) < middle).astype(np.float32))
+    before, after = (
+        frame_reads(mesh, frame, one, video.images[0], video.masks[0], Belief(ones, ones, 0, 0.05)).index
+        for one in (drawn, nearer)
+    )
+    lost = np.setdiff1d(before, after) % SIZE[0]
+    lost = lost[lost >= middle]
+    pixel = np.median(drawn.depth[drawn.face >= 0]) / frame.camera.K[0, 0]
+    assert lost.min() == middle and (lost.max() + 1 - middle) * pixel == pytest.approx(0.05, abs=pixel)
+
+
 @pytest.mark.parametrize("still", ["camera", "world"])
 def test_the_light_of_a_frame_is_divided_out(rasteriser, painted, videos, still):
     """A plain person under a lamp is as plain as without it, as the light of the base color shows it."""
@@ -302,6 +318,23 @@ def test_stripes_go_on_round_a_limb_whatever_the_field_dreamt():
     np.testing.assert_allclose(found[amid], np.tile(wanted[amid], 3), atol=0.08)
     by_material = filled_colors(surface._replace(axes=np.full((1, 3), np.nan)), guess, seen)
     assert (np.abs(by_material - wanted)[amid].max(1) > 0.3).any()
+
+
+def test_a_leg_under_a_hem_is_filled_from_the_leg_and_not_from_the_skirt_round_it():
+    points = np.concatenate([sheet(0.2)] * 2)
+    skirt, angle = np.arange(len(points)) >= len(points) // 2, 2 * np.pi * points[:, 1] / 0.1
+    outward = np.stack([np.zeros(len(points)), np.cos(angle), np.sin(angle)], 1)
+    # the skirt ends at .1; what no video saw of the leg begins 2 cm below its hem
+    along = points[:, :1] + np.where(skirt, 0.1, 0)[:, None]
+    places = np.where(skirt, 0.09, 0.04)[:, None] * outward + along * [1, 0, 0]
+    surface = flat_surface(points, [1.0, 0.0, 0.0])._replace(
+        points=places, normals=outward, piece=np.zeros(len(points), int)
+    )
+    seen = skirt | (places[:, 0] < 0.08)
+    color = np.where(skirt[:, None], [0.2, 0.7, 0.6], [0.3, 0.4, 0.7])
+    found = filled_colors(surface, np.where(seen[:, None], color, 0.5), seen)
+    near = places[~seen, 0] < 0.099
+    np.testing.assert_allclose(found[near], color[~seen][near], atol=0.02)
 
 
 def test_pieces_are_found_across_chart_edges_and_skin_under_hair_is_filled_from_skin():

@@ -12,15 +12,15 @@ BUDGET = {
     "command": 1_263,
     "avatar": 9_210,
     "geometry": 1_698,
-    "capture": 13_365,
+    "capture": 13_379,
     "train": 5_391,
-    "bake": 6_579,
+    "bake": 6_615,
     "player": 19_594,
     "shaders": 915,
     "synth": 4_027,
     "bench": 4_768,
     "selfscan": 504,
-    "tests": 38_678,
+    "tests": 38_656,
 }
 
 
