@@ -177,7 +177,7 @@ def carve(
     if pictures is not None:
         sure = None
         if pictures.bare is not None:
-            sure = Sure(*(np.broadcast_to(cells, held.shape) for cells in (behind, back)), pictures.bare)
+            sure = Sure(np.broadcast_to(behind, held.shape), np.broadcast_to(back, held.shape), pictures.bare)
         held &= ~carve_hollows(held, held & (distance > cell), low, cell, pictures.subject, pictures.views, sure)
     hull = distance_to(~held) * cell > ERODED
     head = y > scalp.neck + np.where(z > scalp.middle[1] - NAPE, trust.over, 0.0)
