@@ -39,6 +39,7 @@ from files.input_file import JsonObject
 
 PATHS = {"rotation": 4, "translation": 3}  # numbers a key
 LONGEST = 1e6  # seconds
+EARLY = 1e-4  # seconds by which a frame may come before the key that was meant for it
 # bytes of all samplers together; accessors may share their bytes
 MAX_KEY_BYTES = 1 << 28
 # frames per second of keys that are taken for the file's own frames
@@ -61,7 +62,9 @@ class Channel:
     def at(self, time: Float[Array, "frames"]) -> Float[Array, "frames n"]:
         """Values at these times; before the first and after the last key the nearest one holds."""
         last, spline = len(self.times) - 1, self.interpolation == "CUBICSPLINE"
-        k = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, last)
+        # a step holds from its key on, whose float32 may lie behind the frame's own time
+        early = EARLY if self.interpolation == "STEP" else 0.0
+        k = np.clip(np.searchsorted(self.times, time + early, side="right") - 1, 0, last)
         values = self.values[:, 1] if spline else self.values
         if self.interpolation == "STEP" or last == 0:
             return values[k].astype(np.float64)

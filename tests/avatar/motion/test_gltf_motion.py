@@ -176,6 +176,10 @@ def test_step_linear_and_spline_are_the_specifications():
     np.testing.assert_allclose(
         Channel(times, keys, "CUBICSPLINE", False).at(fine), (fine**2 + 1)[:, None] * np.ones(3), atol=1e-12
     )
+    # half of the float32 times lie behind those of the frames
+    many = np.arange(200, dtype=np.float32)[:, None]
+    frames = Channel((np.arange(200) / 30).astype(np.float32).astype(np.float64), many, "STEP", False)
+    np.testing.assert_array_equal(frames.at(np.arange(200) / 30), many)
     one = Channel(np.array([2.0]), values[:1], "LINEAR", False)
     np.testing.assert_array_equal(one.at(at), values[[0] * 5])
 
