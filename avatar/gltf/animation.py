@@ -91,7 +91,8 @@ def _animation(builder: GltfBuilder, nodes: tuple[int, ...], clip: Clip, name: s
         *((node, "rotation", np.ascontiguousarray(rotations[:, joint])) for joint, node in enumerate(nodes)),
         *moved,
     ]:
-        still = bool((values == values[0]).all())
+        # the place of the pelvis, the first, keeps all of them: how long the motion is
+        still = bool(samplers) and bool((values == values[0]).all())
         kept = values[:1] if still else values
         output = builder.add_accessor(kept.reshape(-1) if path == "weights" else kept)
         samplers.append({"input": once if still else every, "output": output, "interpolation": "LINEAR"})

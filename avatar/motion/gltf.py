@@ -8,6 +8,7 @@ its turn away from rest, in the world: with R(t) = world_from_bone at time t and
 Rest is the file's default nodes, or the pose that its skin is bound in where that lies nearer to a T-pose. A rig
 whose joints are SMPL+H's in T-pose is read exactly; any other goes through avatar/motion/retarget.py, which keeps the
 directions of the bones. Channels are sampled as glTF 2.0, appendix C has it: STEP, LINEAR (slerp), CUBICSPLINE.
+Morph targets under ARKit's names move the face, and our joints of the eyes turn them.
 """
 
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from avatar.face import SHAPES
+from avatar.face_names import shapes_called
+from avatar.gaze import angles_of, gaze_of
 from avatar.gltf.document import Gltf, read_gltf
+from avatar.gltf.face import EYE_JOINTS
 from avatar.gltf.humanoid import Naming, find_naming
 from avatar.gltf.scene import NodePlace, node_parents, node_place, parents_first, read_skin
 from avatar.motion.clip import Motion, RestSkeleton
@@ -47,6 +52,9 @@ SLOWEST, FASTEST = 10.0, 480.0
 ASSUMED_RATE = 30.0
 # degrees by which the bind pose must beat the default nodes
 BIND_CLOSER = 5.0
+MOST_TARGETS = 1000  # of a mesh
+# instead of a joint's number in a rig: the mesh of the face, and the eyes
+FACE, EYES = -1, (-2, -3)
 
 
 @dataclass(frozen=True)
@@ -91,6 +99,8 @@ class GltfRig(AnimatedRig):
     local: tuple[NodePlace, ...]
     channels: dict[tuple[int, str], Channel] = field(repr=False)
     start: float  # seconds
+    # what each morph target of the face is of SHAPES
+    targets: Float[Array, "targets 52"] = field(repr=False)
     # world_from_bone and places at rest
     rest: tuple[Float[Array, "nodes 3 3"], Float[Array, "nodes 3"]]
 
@@ -103,6 +113,24 @@ class GltfRig(AnimatedRig):
         world, places = self.world(self.start + frames / self.rate)
         return world @ np.swapaxes(self.rest[0], -1, -2), places
 
+    def faces(self, start: int, stop: int) -> tuple[Float[Array, "frames 52"], Float[Array, "frames 2 2"]]:
+        """Weights and gaze of frames, as `Motion.faces` gives them."""
+        time = self.start + np.arange(start, stop) / self.rate
+        weights = np.clip(self.channels[FACE, "weights"].at(time) @ self.targets, 0, 1)
+        gaze = gaze_of(weights)
+        for eye, number in enumerate(EYES):
+            if (number, "rotation") in self.channels:
+                ahead = matrix_from_quaternion(self._rotation(number, EYE_JOINTS[eye], time))[..., 2]
+                gaze[:, eye] = [angles_of(one) for one in ahead]
+        return weights, gaze
+
+    def _rotation(self, number: int, name: str, time: Float[Array, "frames"]) -> Float[Array, "frames 4"]:
+        """The quaternions of an animated joint."""
+        try:
+            return normalised_quaternion(self.channels[number, "rotation"].at(time))
+        except ValueError:  # a spline between q and -q
+            raise AssetError(f"{self.path}: animations[0]: rotation of {name} passes zero") from None
+
     def world(self, time: Float[Array, "frames"]) -> PlacedJoints:
         """world_from_node: rotations without scale, and places."""
         count = len(self.names)
@@ -111,12 +139,7 @@ class GltfRig(AnimatedRig):
         linear = np.zeros((len(time), count, 3, 3))
         for node, (parent, (place, own, scale)) in enumerate(zip(self.parents, self.local, strict=True)):
             if (node, "rotation") in self.channels:
-                try:
-                    own = normalised_quaternion(self.channels[node, "rotation"].at(time))
-                except ValueError:  # a spline between q and -q
-                    raise AssetError(
-                        f"{self.path}: animations[0]: rotation of {self.names[node]} passes zero"
-                    ) from None
+                own = self._rotation(node, self.names[node], time)
             if (node, "translation") in self.channels:
                 place = self.channels[node, "translation"].at(time)
             local = matrix_from_quaternion(own)
@@ -141,13 +164,14 @@ def read_gltf_motion(path: Path | str, skeleton: RestSkeleton | None = None) -> 
     naming = find_naming(gltf.path, gltf.json)
     rig = _rig(gltf, naming, notes)
     unturned = np.abs(rig.rest[0][[name in J for name in rig.names]] - np.eye(3)).max(initial=0) < 1e-4
+    faces = rig.faces if (FACE, "weights") in rig.channels else None
     if not (naming.name == "SMPL+H" and unturned and is_smplh(rig)):
-        return retarget(rig, skeleton, up_known=True, assumed=tuple(notes))
+        return replace(retarget(rig, skeleton, up_known=True, assumed=tuple(notes)), faces=faces)
     # avatar/gltf/animation.py leaves the height of the pelvis there
     extras = gltf.items("animations")[0].get("extras")
     height = extras.get("pelvisHeight") if isinstance(extras, dict) else None
     known = float(height) if isinstance(height, int | float) and 0.01 < height < 100 else None
-    return read_exactly(rig, notes, pelvis_height=known)
+    return replace(read_exactly(rig, notes, pelvis_height=known), faces=faces)
 
 
 def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
@@ -168,13 +192,19 @@ def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
     if not order:
         raise AssetError(f"{gltf.path}: nodes: expected a humanoid's joints, found none")
     local = tuple(_rest_place(gltf, node) for node in order)
-    channels = _channels(gltf, place, notes)
+    mesh, targets = _face(gltf)
+    called = [str(node.get("name")) for node in nodes]
+    moved = {called.index(eye): k for k, eye in zip(EYES, EYE_JOINTS, strict=True) if eye in called} | place
+    wanted = {(node, path): (moved[node], width) for node in moved for path, width in PATHS.items()}
+    channels = _channels(gltf, wanted | {(mesh, "weights"): (FACE, len(targets))}, notes)
+    if (FACE, "weights") in channels:
+        notes.append(f"face: {int(targets.any(0).sum())} of {len(SHAPES)} shapes by the names of morph targets")
     rate, start, frames = _timing(gltf, channels, notes)
     rig = GltfRig(
         path=gltf.path,
         names=tuple(joint_of.get(n, f"__{n}") if named else str(nodes[n].get("name", f"__{n}"))[:100] for n in order),
         parents=tuple(place[int(parents[n])] if parents[n] >= 0 else -1 for n in order),
-        frames=frames, rate=rate, local=local, channels=channels, start=start,
+        frames=frames, rate=rate, local=local, channels=channels, start=start, targets=targets,
         rest=(np.zeros((len(order), 3, 3)), np.zeros((len(order), 3))),
     )  # fmt: skip
     _check_scales(gltf, rig, order)
@@ -206,8 +236,25 @@ def _rest_place(gltf: Gltf, index: int) -> NodePlace:
     return place
 
 
-def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple[int, str], Channel]:
-    """The channels of the first animation that turn or move these nodes."""
+def _face(gltf: Gltf) -> tuple[int, Float[Array, "targets 52"]]:
+    """The node of the mesh with most of ARKit's shapes by the names of its targets, and what each target is of them."""
+    best, found = -1, np.zeros((0, len(SHAPES)))
+    for mesh, item in enumerate(gltf.items("meshes")):
+        extras = item.get("extras")
+        names = extras.get("targetNames") if isinstance(extras, dict) else None
+        known = [shapes_called(str(name)) or {} for name in names[:MOST_TARGETS]] if isinstance(names, list) else []
+        targets = np.zeros((len(known), len(SHAPES)))
+        for row, shapes in zip(targets, known, strict=True):
+            row[list(shapes)] = list(shapes.values())
+        if targets.any(0).sum() > found.any(0).sum():
+            best, found = mesh, targets
+    return next((k for k, item in enumerate(gltf.items("nodes")) if item.get("mesh") == best), -1), found
+
+
+def _channels(
+    gltf: Gltf, wanted: dict[tuple[int, str], tuple[int, int]], notes: list[str]
+) -> dict[tuple[int, str], Channel]:
+    """The channels of the first animation, of nodes' properties by number in the rig and numbers a key."""
     animations = gltf.items("animations")
     if not animations:
         raise gltf.error("animations", "one at least: a file that stands still is no motion", animations)
@@ -229,20 +276,21 @@ def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple
         if "node" not in target:
             continue  # an extension's target
         node, path = gltf.index("nodes", target["node"], f"{field_name}.target.node"), target["path"]
-        scaled |= node in place and path == "scale"
-        if node not in place or path not in PATHS:
+        scaled |= (node, "rotation") in wanted and path == "scale"
+        if (node, path) not in wanted:
             continue
-        if (place[node], path) in channels:
+        place, width = wanted[node, path]
+        if (place, path) in channels:
             raise gltf.error(field_name, "the only one for its node and path", target)
         number = entry.get("sampler")
         if type(number) is not int or not 0 <= number < len(samplers):
             raise gltf.error(f"{field_name}.sampler", f"an index below {len(samplers)}", number)
         if (number, path) not in held:
-            held[number, path] = _channel(gltf, samplers[number], path, f"{where}.samplers[{number}]")
+            held[number, path] = _channel(gltf, samplers[number], path, width, f"{where}.samplers[{number}]")
             size = sum(one.times.nbytes + one.values.nbytes for one in held.values())
             if size > MAX_KEY_BYTES:
                 raise gltf.error(f"{where}.samplers", f"keys of at most {MAX_KEY_BYTES} bytes together", size)
-        channels[place[node], path] = held[number, path]
+        channels[place, path] = held[number, path]
     if not channels:
         raise gltf.error(f"{where}.channels", "rotations of a humanoid's joints", f"{len(entries)} others")
     if scaled:
@@ -250,7 +298,7 @@ def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple
     return channels
 
 
-def _channel(gltf: Gltf, sampler: JsonObject, path: str, where: str) -> Channel:
+def _channel(gltf: Gltf, sampler: JsonObject, path: str, width: int, where: str) -> Channel:
     interpolation = sampler.get("interpolation", "LINEAR")
     if interpolation not in ("LINEAR", "STEP", "CUBICSPLINE"):
         raise gltf.error(f"{where}.interpolation", "LINEAR, STEP or CUBICSPLINE", interpolation)
@@ -262,10 +310,12 @@ def _channel(gltf: Gltf, sampler: JsonObject, path: str, where: str) -> Channel:
         raise gltf.error(f"{where}.input", f"increasing seconds from 0 to {LONGEST:g}", times)
     values = gltf.accessor(sampler.get("output"), as_float=True, field=f"{where}.output")
     each = 3 if interpolation == "CUBICSPLINE" else 1
-    if values.shape != (each * len(times), PATHS[path]):
-        raise gltf.error(f"{where}.output", f"({each * len(times)}, {PATHS[path]}) for {path}", values.shape)
+    if path == "weights" and values.shape == (each * len(times) * width,):
+        values = values.reshape(-1, width)
+    if values.shape != (each * len(times), width):
+        raise gltf.error(f"{where}.output", f"({each * len(times)}, {width}) for {path}", values.shape)
     if each == 3:
-        values = values.reshape(len(times), 3, PATHS[path])
+        values = values.reshape(len(times), 3, width)
     if path == "rotation":
         length = np.linalg.norm((values[:, 1] if each == 3 else values).astype(np.float64), axis=-1)
         wrong = np.abs(length - 1) > 0.01

@@ -103,9 +103,16 @@ def test_the_long_bvh_is_that_of_the_clip_and_its_angles_do_not_jump(tmp_path):
     assert np.abs(np.diff(angles, axis=0)).max() < 0.03  # the step of t is 0.026
 
 
-def test_the_animated_avatar_is_read_back_as_motion_and_as_the_same_avatar(avatar_path, tmp_path):
-    clip = wild_clip()
-    out = tmp_path / "moving.glb"
+@pytest.mark.parametrize("still", [False, True])
+def test_the_animated_avatar_is_read_back_as_motion_and_as_the_same_avatar(tmp_path, still):
+    """With its face, and as long as it was where nothing moves."""
+    avatar_path, out, clip = tmp_path / "tiny.glb", tmp_path / "moving.glb", wild_clip()
+    write_avatar(avatar_path, tiny_face())
+    face, gaze = np.random.default_rng(4).random((40, 52)), np.random.default_rng(5).normal(0, 0.2, (40, 2, 2))
+    clip = replace(clip, face=face, gaze=gaze)
+    if still:
+        rows = ("axis_angle", "root", "face", "gaze")
+        clip = replace(clip, **{name: getattr(clip, name)[:1].repeat(40, 0) for name in rows})
     write_animated(out, avatar_path, clip)
     motion = read_motion(out)
     back = motion.read()
@@ -113,6 +120,8 @@ def test_the_animated_avatar_is_read_back_as_motion_and_as_the_same_avatar(avata
     assert angles_between(back.axis_angle, clip.axis_angle).max() < 1e-4
     # a metre a frame; float32 seconds put a key up to 4e-6 of a frame beside its time
     np.testing.assert_allclose(back.root, clip.root, atol=1e-5)
+    np.testing.assert_allclose(back.face, clip.face, atol=1e-5)
+    np.testing.assert_allclose(back.gaze, clip.gaze, atol=1e-5)
     assert same(read_avatar(out), read_avatar(avatar_path))
     before, after = split_glb(avatar_path.read_bytes())[1], split_glb(out.read_bytes())[1]
     assert after[: len(before) - 3] == before[: len(before) - 3]  # less its padding
