@@ -77,9 +77,10 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
     turn = np.array(TURNS[up_axis(upright_of(np.array(Rh)), notes)])
     W = matrix_from_quaternion(turn)
     shapes = rows(0, 1).get("shapes", np.zeros((1, 0)))[0]
-    given = given_pelvis(shapes, body, notes, what="Th + R J0, J0")
-    J0, height = given if given is not None else (usual_pelvis(notes, what="Th + R J0, J0 ="), None)
-    used = min(lengths.get("shapes", 0), body.shape_directions.shape[2]) if given and body else 0
+    what, smplx = "Th + R J0, J0", layout.smplx
+    given = given_pelvis(shapes, body, notes, what=what, smplx=smplx)
+    J0, height = given if given is not None else (usual_pelvis(notes, what=what, smplx=smplx), None)
+    used = min(lengths.get("shapes", 0), body.shape_directions.shape[2]) if given and body and not smplx else 0
     notes.append(f"no frame rate in EasyMocap's files: {ASSUMED_RATE:g} frames per second assumed")
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
@@ -245,7 +246,7 @@ def _layout(path: Path, lengths: dict[str, int], body: Body | None, notes: list[
         kind = "45 numbers, as offsets from the mean" if full else f"{apart} PCA coefficients, expanded"
         note = f"hands: handl and handr, {kind}, mean added (EasyMocap's use_flat_mean: False)"
         hands = slice(count, count + 2 * apart)
-        layout = PoseLayout(layout.rooted, hands, 0 if full else apart, note, offsets=full)
+        layout = PoseLayout(layout.rooted, hands, 0 if full else apart, note, full, layout.smplx)
         if not readable(layout, body):
             raise AssetError(f"{path}: handl has {apart} numbers: {NEEDS_MODEL}")
     notes.append(layout.note)

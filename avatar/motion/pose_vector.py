@@ -46,6 +46,8 @@ class PoseLayout(NamedTuple):
     note: str
     # axis-angle that lacks the mean
     offsets: bool = False
+    # with jaw and eyes: of SMPL-X, whose pelvis rests elsewhere
+    smplx: bool = False
 
 
 def pose_layout(columns: int, *, root_apart: bool = False) -> PoseLayout | None:
@@ -58,12 +60,13 @@ def pose_layout(columns: int, *, root_apart: bool = False) -> PoseLayout | None:
         return PoseLayout(rooted, None, 0, note + "; SMPL's two hand joints left out" * (full == 72))
     if full in (78, 87):
         note = f"hands: 2 x 6 PCA coefficients ({columns} columns), expanded, mean added"
-        return PoseLayout(rooted, slice(start, start + 12), 6, note + ", jaw and eyes left out" * (full == 87))
+        note += ", jaw and eyes left out" * (full == 87)
+        return PoseLayout(rooted, slice(start, start + 12), 6, note, smplx=full == 87)
     if full == 156:
         return PoseLayout(rooted, slice(start, start + 90), 0, FULL_HANDS)
     if full == 165:
         note = f"{FULL_HANDS}; {columns} columns are SMPL-X: jaw and eyes left out"
-        return PoseLayout(rooted, slice(start + 9, start + 99), 0, note)
+        return PoseLayout(rooted, slice(start + 9, start + 99), 0, note, smplx=True)
     return None
 
 
@@ -130,15 +133,20 @@ def up_axis(upright: Float[Array, "3"], notes: list[str]) -> str:
     return name
 
 
-# J0 of SMPL(+H) bodies of mean shape, good to about 2 cm
-USUAL_PELVIS = np.array([-0.002, -0.233, 0.028])
+# J0 of SMPL(+H) and of SMPL-X bodies of mean shape, good to about 2 cm
+USUAL_PELVIS, SMPLX_PELVIS = np.array([-0.002, -0.233, 0.028]), np.array([0.003, -0.351, 0.012])
 
 
 def given_pelvis(
-    betas: Float[Array, "n"], body: Body | None, notes: list[str], *, what: str = "trans + J0"
+    betas: Float[Array, "n"], body: Body | None, notes: list[str], *, what: str = "trans + J0", smplx: bool = False
 ) -> tuple[Float[Array, "3"], float] | None:
-    """J0 and pelvis height of the user's model in the file's shape; None where no model of the user's is given."""
+    """J0 and pelvis height of the user's model in the file's shape; None where no model of the user's is given.
+
+    The model is SMPL+H's: of a file of SMPL-X it has neither the shape space nor J0.
+    """
     if body is not None and not body.name.startswith("builtin"):
+        if smplx:
+            return usual_pelvis(notes, what=what, smplx=True), float(-body.vertices[:, 1].min())
         used = min(len(betas), body.shape_directions.shape[2])
         own = shaped(body, betas[:used])
         notes.append(f"pelvis: {what} of {body.name} with {used} of the file's {len(betas)} betas")
@@ -148,8 +156,8 @@ def given_pelvis(
     return None
 
 
-def usual_pelvis(notes: list[str], *, what: str = "trans +") -> Float[Array, "3"]:
+def usual_pelvis(notes: list[str], *, what: str = "trans + J0", smplx: bool = False) -> Float[Array, "3"]:
     """The usual J0, for a file without `--body`."""
-    place = tuple(USUAL_PELVIS.tolist())
-    notes.append(f"pelvis: {what} {place}, the usual J0 of SMPL+H (2 cm; --body gives it exactly)")
-    return USUAL_PELVIS
+    J0, name, better = (SMPLX_PELVIS, "SMPL-X", "") if smplx else (USUAL_PELVIS, "SMPL+H", "; --body gives it exactly")
+    notes.append(f"pelvis: {what} = {tuple(J0.tolist())}, the usual one of {name} (2 cm{better})")
+    return J0

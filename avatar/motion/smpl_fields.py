@@ -12,8 +12,8 @@ trans + J0, where J0 is the pelvis joint of the file's body:
 
     pelvis_y = R (trans + J0)        root_y = R root
 
-J0 comes from the file's own `pelvis`, else from the body given by the caller, else it is USUAL_PELVIS, and the notes
-say so. Betas are not used without a body: they mean SMPL's shape space only.
+J0 comes from the file's own `pelvis`, else from the body given by the caller, else it is the usual one of SMPL+H or
+SMPL-X, and the notes say so. Betas are not used without a body: they mean SMPL's shape space only.
 """
 
 from collections.abc import Callable
@@ -51,6 +51,8 @@ ROOT = ("global_orient", "root_orient", "poses_root")
 BODY = ("body_pose", "pose_body", "poses_body")
 LEFT, RIGHT = ("left_hand_pose", "lhand_pose"), ("right_hand_pose", "rhand_pose")
 BOTH = ("pose_hand", "hand_pose", "poses_hand")
+# of SMPL-X alone
+JAW = ("jaw_pose", "pose_jaw", "poses_jaw")
 PLACE = ("trans", "transl", "pose_est_trans")
 SHAPE = ("betas", "shape_est_betas", "beta")
 RATE = ("mocap_framerate", "mocap_frame_rate", "mosh_framerate", "framerate", "frame_rate", "fps")
@@ -164,7 +166,8 @@ def read_pose_fields(fields: PoseFields, body: Body | None, notes: list[str]) ->
     place = None if place_name is None else fields.rows(place_name, poses.frames, (3,))
     rate = _rate(fields, notes)
     up = _up(fields, poses, notes)
-    pelvis, height = _pelvis(fields, body, up, notes)
+    smplx = poses.layout.smplx or fields.first(JAW) is not None
+    pelvis, height = _pelvis(fields, body, up, smplx, notes)
     turn = np.array(TURNS[up])
     R = np.round(matrix_from_quaternion(turn))
 
@@ -286,7 +289,9 @@ def _up(fields: PoseFields, poses: _Poses, notes: list[str]) -> str:
     return up_axis(upright_of(root), notes)
 
 
-def _pelvis(fields: PoseFields, body: Body | None, up: str, notes: list[str]) -> tuple[Float[Array, "3"], float | None]:
+def _pelvis(
+    fields: PoseFields, body: Body | None, up: str, smplx: bool, notes: list[str]
+) -> tuple[Float[Array, "3"], float | None]:
     """J0 of the file's body, and the height of its pelvis above its soles where it is known."""
     height = None
     if "pelvis_height" in fields.names:
@@ -295,9 +300,9 @@ def _pelvis(fields: PoseFields, body: Body | None, up: str, notes: list[str]) ->
         return fields.few("pelvis", 3), height
     name = fields.first(SHAPE)
     betas = np.zeros(0) if name is None else fields.numbers(name, LARGEST_BETA)
-    if given := given_pelvis(betas, body, notes):
+    if given := given_pelvis(betas, body, notes, smplx=smplx):
         return given
     if up == "+y" and "up_axis" in fields.names:
         notes.append("pelvis: at trans, as in our own y-up files")
         return np.zeros(3), height
-    return usual_pelvis(notes), height
+    return usual_pelvis(notes, smplx=smplx), height

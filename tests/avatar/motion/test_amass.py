@@ -11,7 +11,7 @@ from smplh_model import model_body
 from avatar.body import builtin_body, shaped
 from avatar.motion.amass import read_amass, write_amass
 from avatar.motion.clip import Clip
-from avatar.motion.pose_vector import USUAL_PELVIS
+from avatar.motion.pose_vector import SMPLX_PELVIS, USUAL_PELVIS
 from avatar.motion.read import builtin_motion, read_motion
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
@@ -191,6 +191,12 @@ def test_root_and_body_apart(tmp_path):
     np.testing.assert_allclose(clip.axis_angle[:, 22:37].reshape(FRAMES, 45), left, atol=1e-12)
     fields |= {"left_hand_pose": poses(45, 2), "right_hand_pose": poses(45, 3)}
     clip = read_motion(saved(tmp_path / "c.pkl", fields)).read()
+    np.testing.assert_allclose(clip.root, MOVES + USUAL_PELVIS)
+    # a jaw is SMPL-X's, whose pelvis rests elsewhere than that of any model of SMPL+H
+    fields["jaw_pose"] = poses(3)
+    for model in (None, body):
+        clip = read_motion(saved(tmp_path / "c.pkl", fields), body=model).read()
+        np.testing.assert_allclose(clip.root, MOVES + SMPLX_PELVIS)
     np.testing.assert_allclose(clip.axis_angle[:, 37:].reshape(FRAMES, 45), fields["right_hand_pose"], atol=1e-15)
 
 

@@ -9,7 +9,7 @@ from smplh_model import model_body
 
 from avatar.body import shaped
 from avatar.motion.easymocap import read_easymocap
-from avatar.motion.pose_vector import USUAL_PELVIS
+from avatar.motion.pose_vector import SMPLX_PELVIS, USUAL_PELVIS
 from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
@@ -55,12 +55,13 @@ def test_joints_stand_where_easymocap_puts_them(tmp_path, wrap, within):
         within(ours - theirs, 1e-9, "m")
 
 
-def test_without_a_model_the_pelvis_is_the_usual_one_and_too_many_coefficients_are_refused(tmp_path):
-    one = person()
+@pytest.mark.parametrize("numbers, pelvis", [(156, USUAL_PELVIS), (162, SMPLX_PELVIS), (165, SMPLX_PELVIS)])
+def test_without_a_model_the_pelvis_is_the_usual_one_and_too_many_coefficients_are_refused(tmp_path, numbers, pelvis):
+    one = person(numbers)
     motion = read_easymocap(folder(tmp_path / "a", [[one]]))
     R = matrix_from_axis_angle(np.array(one["Rh"][0]))
-    np.testing.assert_allclose(motion.read().root[0], np.array(one["Th"][0]) + R @ USUAL_PELVIS, atol=1e-12)
-    for words in ("usual J0", "30 frames per second assumed", "betas ignored", "up: +y"):
+    np.testing.assert_allclose(motion.read().root[0], np.array(one["Th"][0]) + R @ pelvis, atol=1e-12)
+    for words in ("the usual one of SMPL", "30 frames per second assumed", "betas ignored", "up: +y"):
         assert any(words in note for note in motion.notes), words
     body = model_body(tmp_path, components=6)
     one = person(63, handl=[[0.0] * 12], handr=[[0.0] * 12])
