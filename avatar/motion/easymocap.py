@@ -120,10 +120,13 @@ def read_fit(files: Sequence[Path], *, body: Body) -> EasyMocapFit:
     """The frames in `files` as they are: nothing is turned to y-up; `body` expands the hands, and has their mean.
 
     Raises:
-        AssetError: as `read_easymocap`.
+        AssetError: as `read_easymocap`, or the fit is SMPL-X's.
     """
     notes: list[str] = []
     person, lengths, layout = _opened(files[0], body, notes)
+    if layout.smplx:
+        found = f"{lengths['poses']} numbers, SMPL-X's with jaw and eyes"
+        raise AssetError(f"{files[0]}: poses should be of SMPL or SMPL+H as {body.name} is, has {found}")
     values = _rows(files, person, lengths)
     pose = _joint_poses(values, layout, body)
     return EasyMocapFit(pose, values["Rh"], values["Th"], values.get("shapes", np.zeros((len(files), 0))), tuple(notes))

@@ -207,6 +207,10 @@ BAD = {
         lambda o: people_changed(o.root, "body", lambda p: p.update(shapes=[[40.0, 0]])),
         r"000500\.json: shapes should lie within 10, hold 40: the fit failed",
     ),
+    "SMPL-X": (
+        lambda o: people_changed(o.root, "body", lambda p: p.update(poses=[[0.0] * 165], handl=[[]], handr=[[]])),
+        r"000500\.json: poses should be of SMPL or SMPL\+H as .* is, has 165 numbers, SMPL-X's",
+    ),
 }
 MOVED = [
     ("hand_left", "hand", r"anna: expected folders body, .* found no hand_left"),
