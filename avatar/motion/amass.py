@@ -1,8 +1,8 @@
 """Pose files with AMASS keys (.npz): the older SMPL+H ones, the newer SMPL-X-style ones, and our own.
 
-AMASS's world is z-up, and every file is taken for z-up unless it carries our own key `up_axis` = "y" (the
-capture folder's poses.npz does). Arrays are never unpickled and are read row by row out of the archive, deflated or
-not.
+AMASS's world is z-up, and every file with its names is taken for z-up unless it carries our own key `up_axis` = "y"
+(the capture folder's poses.npz does). Arrays are never unpickled and are read row by row out of the archive, deflated
+or not.
 """
 
 import zipfile
@@ -35,7 +35,9 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
             things, a rate that is not positive. A number that is not finite is found when its frame is read.
     """
     npz = NpzFile(path, "a pose file")
-    return read_pose_fields(PoseFields(npz.path, npz.names, npz.member, "z"), body, [])
+    # smplx' own name, in whose worlds people stand along any axis
+    usual_up = None if "global_orient" in npz.names else "z"
+    return read_pose_fields(PoseFields(npz.path, npz.names, npz.member, usual_up), body, [])
 
 
 def read_video_poses(path: Path, frames: int) -> Clip:

@@ -81,6 +81,7 @@ def test_newer_keys_mean_the_same(tmp_path, hands, root, body):
         body: POSES[:, 3:66],
         "pose_hand": POSES[:, 66:] if hands else None,
         "pose_jaw": np.ones((7, 3)),
+        "up_axis": np.array("z"),
     }
     clip = read_motion(save(tmp_path / "a.npz", **split)).read()
     old = read_motion(save(tmp_path / "b.npz")).read()
@@ -200,11 +201,13 @@ def test_root_and_body_apart(tmp_path):
     np.testing.assert_allclose(clip.axis_angle[:, 37:].reshape(FRAMES, 45), fields["right_hand_pose"], atol=1e-15)
 
 
+@pytest.mark.parametrize("kind", ["a.pkl", "a.npz"])
 @pytest.mark.parametrize("axis, turn", [("+z", [np.pi / 2, 0, 0]), ("-y", [np.pi, 0, 0]), ("+x", [0, 0, -np.pi / 2])])
-def test_the_up_axis_is_found_and_said(tmp_path, axis, turn):
-    values = np.zeros((FRAMES, 72))
-    values[:, :3] = turn
-    motion = read_motion(saved(tmp_path / "a.pkl", {"poses": values, "trans": MOVES}))
+def test_the_up_axis_is_found_and_said(tmp_path, kind, axis, turn):
+    fields = {"global_orient": np.tile(turn, (FRAMES, 1)), "body_pose": np.zeros((FRAMES, 63)), "transl": MOVES}
+    if kind == "a.npz":
+        np.savez(tmp_path / kind, **fields)
+    motion = read_motion(saved(tmp_path / kind, fields) if kind == "a.pkl" else tmp_path / kind)
     clip = motion.read()
     up = matrix_from_axis_angle(clip.axis_angle[:, 0])[:, :, 1]
     np.testing.assert_allclose(up, np.broadcast_to([0.0, 1, 0], up.shape), atol=1e-12)
