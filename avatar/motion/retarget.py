@@ -21,13 +21,15 @@ from avatar.motion.pose_vector import TURNS, up_axis
 from avatar.motion.rest_pose import Alignment, rest_alignment, rests_standing
 from avatar.motion.rig import AnimatedRig, JointMap, find_joints
 from avatar.motion.smplh_rig import leg_length
-from avatar.rotation import axis_angle_from_matrix, matrix_from_quaternion, rotation_part_way
+from avatar.rotation import axis_angle_from_matrix, axis_name, matrix_from_quaternion, rotation_part_way
 from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS, pose_of_rotations
 from command.errors import AssetError
 
 # looked at for up axis, rest pose and soles
 SAMPLED_FRAMES = 200
+# the share of one axis' spread of the lowest joint's heights below which another axis is certainly up instead
+LEVEL = 0.5
 
 
 def retarget(
@@ -59,7 +61,7 @@ def retarget(
     upright = (at[:, joints.head] - at[:, hips].mean(1)).mean(0)
     if not (at[0, hips[0]] != at[0, hips[1]]).any() or not upright.any():
         raise AssetError(f"{rig.path}: hips or hips and head rest at the same place")
-    W = matrix_from_quaternion(np.array(TURNS["+y" if up_known else up_axis(upright, notes)])).round()
+    W = matrix_from_quaternion(np.array(TURNS["+y" if up_known else _up(rig, joints, at, upright, notes)])).round()
     rig_leg, our_leg = leg_length(rig.rest_positions, joints.places), leg_length(ours, J)
     if not rig_leg > 0:
         raise AssetError(f"{rig.path}: the legs have no length")
@@ -81,6 +83,23 @@ def retarget(
         return pose_of_rotations(R), scale * at[:, hips].mean(1) @ W.T - R[:, 0] @ offset
 
     return Motion(rig.path.name, rig.frames, rig.rate, tuple(notes), block, skeleton.pelvis_height)
+
+
+def _up(rig: AnimatedRig, joints: JointMap, at: Array, upright: Float[Array, "3"], notes: list[str]) -> str:
+    """The axis that the body stands along on average, unless it crawls: then the one that the rig rests along.
+
+    The lowest joint of who crawls keeps its height over the ground, and goes along with the trunk.
+    """
+    if rests_standing(rig, joints):
+        rest, places = rig.rest_positions, list(joints.places.values())
+        hips = (rest[joints.places["left_hip"]] + rest[joints.places["right_hip"]]) / 2
+        rested, stood = (axis_name(way) for way in (rest[joints.head] - hips, upright))
+        lowest = [(at[:, places] @ matrix_from_quaternion(np.array(TURNS[up]))[1]).min(1) for up in (rested, stood)]
+        over_rested, over_stood = np.subtract(*np.percentile(lowest, [90, 10], axis=1))
+        if over_rested < LEVEL * over_stood:
+            notes.append(f"up: {rested}, as the rig rests: the body crawls or lies")
+            return rested
+    return up_axis(upright, notes)
 
 
 def _rotations(joints: JointMap, alignment: Alignment, G: Array) -> Float[Array, "frames 52 3 3"]:

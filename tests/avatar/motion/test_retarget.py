@@ -226,3 +226,21 @@ def test_bones_of_real_people_point_where_the_files_bones_point(person, file, pe
         side, _, name = joint.partition("_")
         placed[:, J[joint]] = theirs[:, bvh.names.index(side.capitalize() + names[name])]
     within(degrees_between(directions(G[..., :3, 3], LIMBS), directions(placed, LIMBS)), 0.01, "degrees")
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, np.pi / 2])
+def test_who_crawls_is_not_stood_up_and_who_walks_in_a_z_up_world_is(heading, within):
+    """The rig rests along +y: so is the crawler's world, whose trunk lies along the way."""
+    joints, R, at = moving()
+    H, Q = (matrix_from_axis_angle(np.array(v)) for v in ([0, heading, 0], [np.pi / 2, 0, 0]))
+    walk = retarget(made_rig(joints, Q @ H @ R, at @ (Q @ H).T, np.tile(np.eye(3), (22, 1, 1)))).read()
+    within(turn_between(H @ R[:, 0], matrix_from_axis_angle(walk.axis_angle[:, 0])), 1e-4, "degrees")
+    pose = np.zeros((52, 3))
+    # on hands and knees
+    pose[[0, 1, 2, 16, 17]] = np.pi / 2 * np.array([[1.0, 0, 0], [-1, 0, 0], [-1, 0, 0], [0, -1, 0], [0, 1, 0]])
+    G = joint_transforms(pose, builtin_body("male").joints)[:22]
+    places = G[:, :3, 3] + np.linspace(0, 2, 48)[:, None, None] * np.array([0, 0, 1])
+    made = made_rig(joints, np.tile(H @ G[:, :3, :3], (48, 1, 1, 1)), places @ H.T, np.tile(np.eye(3), (22, 1, 1)))
+    motion = retarget(made)
+    assert any("the body crawls" in note for note in motion.notes)
+    within(turn_between(H @ Q, matrix_from_axis_angle(motion.read().axis_angle[:, 0])), 1e-4, "degrees")
