@@ -25,6 +25,7 @@ from avatar.gltf.scene import (
     base_texture,
     material_of,
     node_parents,
+    nodes_of_scene,
     parents_first,
     primitives,
     read_primitive,
@@ -73,10 +74,14 @@ def read_rigged(gltf: Gltf) -> Rigged:
         AssetError: the file is without a mesh, its rig lacks a joint, or a field is not as glTF has it.
     """
     path = gltf.path
-    joint_nodes, naming = find_joints(path, gltf.json)
+    there = nodes_of_scene(gltf)
+    named = [node if k else {} for node, k in zip(gltf.items("nodes"), there, strict=True)]
+    joint_nodes, naming = find_joints(path, gltf.json | {"nodes": named})
     notes = [f"{naming} joint names"]
     rig = NodeTree(gltf, joint_nodes)
-    nodes = [i for i, node in enumerate(gltf.items("nodes")) if "mesh" in node]
+    nodes = [i for i, node in enumerate(named) if "mesh" in node]
+    if not there.all():
+        notes.append(f"scene: the file's own choice of {len(gltf.items('scenes'))}, the others are left out")
     nodes.sort(key=lambda i: "skin" not in gltf.items("nodes")[i])  # skins first: they say where bones are bound
     parts = [part for node in nodes for part in _read_mesh_node(rig, node)]
     if not parts:

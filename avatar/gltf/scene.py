@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt32
+from jaxtyping import Bool, Float, Int, UInt32
 from numpy import ndarray as Array
 
 from avatar.gltf.document import Gltf, refusal
@@ -63,6 +63,18 @@ def parents_first(parents: Int[Array, "nodes"]) -> list[int]:
     for node in order:
         order.extend(children[node])
     return order
+
+
+def nodes_of_scene(gltf: Gltf) -> Bool[Array, "nodes"]:
+    """Which nodes are in the scene that a viewer shows, where the file has several; else all."""
+    parents, scenes = node_parents(gltf), gltf.items("scenes")
+    there = np.ones(len(parents), bool)
+    if len(scenes) > 1:
+        listed = gltf.item("scenes", gltf.json.get("scene", 0), "scene").get("nodes")
+        roots = {root for root in listed if type(root) is int} if isinstance(listed, list) else set[int]()
+        for node in parents_first(parents):
+            there[node] = there[parents[node]] if parents[node] >= 0 else node in roots
+    return there
 
 
 class NodePlace(NamedTuple):

@@ -68,6 +68,19 @@ def test_joints_are_found_by_name(tmp_path, names):
     np.testing.assert_allclose(subject.vertices, vertices, rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("shown", [0, 1])
+def test_who_stands_in_another_scene_is_left_out(tmp_path, shown):
+    document, vertices = rigs.rig()
+    nodes = document["nodes"]
+    twin = [node | ({"children": [53 + k for k in node["children"]]} if "children" in node else {}) for node in nodes]
+    twin[52] |= {"skin": 1}
+    skins = [*document["skins"], document["skins"][0] | {"joints": list(range(53, 105))}]
+    scenes = {"scenes": [{"nodes": [0, 52]}, {"nodes": [53, 105]}], "scene": shown}
+    subject = read_subject(rigs.write(tmp_path / "a.gltf", document | scenes | {"nodes": nodes + twin, "skins": skins}))
+    np.testing.assert_allclose(subject.vertices, vertices, rtol=0, atol=1e-6)
+    assert any("scene: the file's own choice of 2" in note for note in subject.notes)
+
+
 @pytest.mark.parametrize("version", [0, 1])
 def test_joints_are_found_by_the_vrm_humanoid_whatever_their_names(tmp_path, version):
     document, vertices = rigs.rig([f"bone {i}" for i in range(52)])
