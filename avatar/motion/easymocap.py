@@ -29,12 +29,11 @@ from avatar.motion.pose_vector import (
     TURNS,
     PoseLayout,
     expanded,
-    given_pelvis,
     pose_layout,
     readable,
+    rested_pelvis,
     up_axis,
     upright_of,
-    usual_pelvis,
 )
 from avatar.rotation import (
     axis_angle_from_quaternion,
@@ -77,10 +76,9 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
     turn = np.array(TURNS[up_axis(upright_of(np.array(Rh)), notes)])
     W = matrix_from_quaternion(turn)
     shapes = rows(0, 1).get("shapes", np.zeros((1, 0)))[0]
-    what, smplx = "Th + R J0, J0", layout.smplx
-    given = given_pelvis(shapes, body, notes, what=what, smplx=smplx)
-    J0, height = given if given is not None else (usual_pelvis(notes, what=what, smplx=smplx), None)
-    used = min(lengths.get("shapes", 0), body.shape_directions.shape[2]) if given and body and not smplx else 0
+    J0, height = rested_pelvis(shapes, body, notes, what="Th + R J0, J0", smplx=layout.smplx)
+    given = 0 if body is None or height is None or layout.smplx else body.shape_directions.shape[2]
+    used = min(lengths.get("shapes", 0), given)
     notes.append(f"no frame rate in EasyMocap's files: {ASSUMED_RATE:g} frames per second assumed")
 
     def block(start: int, stop: int) -> tuple[Array, Array]:

@@ -193,7 +193,8 @@ def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
         raise AssetError(f"{gltf.path}: nodes: expected a humanoid's joints, found none")
     local = tuple(_rest_place(gltf, node) for node in order)
     mesh, targets = _face(gltf)
-    called = [str(node.get("name")) for node in nodes]
+    # elsewhere eyes may rest turned
+    called = [str(node.get("name")) for node in nodes] if naming.name == "SMPL+H" else []
     moved = {called.index(eye): k for k, eye in zip(EYES, EYE_JOINTS, strict=True) if eye in called} | place
     wanted = {(node, path): (moved[node], width) for node in moved for path, width in PATHS.items()}
     channels = _channels(gltf, wanted | {(mesh, "weights"): (FACE, len(targets))}, notes)
@@ -310,12 +311,10 @@ def _channel(gltf: Gltf, sampler: JsonObject, path: str, width: int, where: str)
         raise gltf.error(f"{where}.input", f"increasing seconds from 0 to {LONGEST:g}", times)
     values = gltf.accessor(sampler.get("output"), as_float=True, field=f"{where}.output")
     each = 3 if interpolation == "CUBICSPLINE" else 1
-    if path == "weights" and values.shape == (each * len(times) * width,):
-        values = values.reshape(-1, width)
-    if values.shape != (each * len(times), width):
-        raise gltf.error(f"{where}.output", f"({each * len(times)}, {width}) for {path}", values.shape)
-    if each == 3:
-        values = values.reshape(len(times), 3, width)
+    keys = each * len(times)
+    if values.shape != ((keys * width,) if path == "weights" else (keys, width)):
+        raise gltf.error(f"{where}.output", f"({keys}, {width}) for {path}", values.shape)
+    values = values.reshape((len(times), 3, width) if each == 3 else (keys, width))
     if path == "rotation":
         length = np.linalg.norm((values[:, 1] if each == 3 else values).astype(np.float64), axis=-1)
         wrong = np.abs(length - 1) > 0.01

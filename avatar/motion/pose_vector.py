@@ -137,27 +137,21 @@ def up_axis(upright: Float[Array, "3"], notes: list[str]) -> str:
 USUAL_PELVIS, SMPLX_PELVIS = np.array([-0.002, -0.233, 0.028]), np.array([0.003, -0.351, 0.012])
 
 
-def given_pelvis(
+def rested_pelvis(
     betas: Float[Array, "n"], body: Body | None, notes: list[str], *, what: str = "trans + J0", smplx: bool = False
-) -> tuple[Float[Array, "3"], float] | None:
-    """J0 and pelvis height of the user's model in the file's shape; None where no model of the user's is given.
+) -> tuple[Float[Array, "3"], float | None]:
+    """J0 and pelvis height of the user's model in the file's shape; without one the usual J0.
 
     The model is SMPL+H's: of a file of SMPL-X it has neither the shape space nor J0.
     """
-    if body is not None and not body.name.startswith("builtin"):
-        if smplx:
-            return usual_pelvis(notes, what=what, smplx=True), float(-body.vertices[:, 1].min())
-        used = min(len(betas), body.shape_directions.shape[2])
-        own = shaped(body, betas[:used])
-        notes.append(f"pelvis: {what} of {body.name} with {used} of the file's {len(betas)} betas")
+    model = None if body is None or body.name.startswith("builtin") else body
+    if model is not None and not smplx:
+        used = min(len(betas), model.shape_directions.shape[2])
+        own = shaped(model, betas[:used])
+        notes.append(f"pelvis: {what} of {model.name} with {used} of the file's {len(betas)} betas")
         return own.origin, float(-own.vertices[:, 1].min())
-    if np.any(betas):
+    if model is None and np.any(betas):
         notes.append("betas ignored: they belong to SMPL's shape space, not to the built-in body's")
-    return None
-
-
-def usual_pelvis(notes: list[str], *, what: str = "trans + J0", smplx: bool = False) -> Float[Array, "3"]:
-    """The usual J0, for a file without `--body`."""
     J0, name, better = (SMPLX_PELVIS, "SMPL-X", "") if smplx else (USUAL_PELVIS, "SMPL+H", "; --body gives it exactly")
     notes.append(f"pelvis: {what} = {tuple(J0.tolist())}, the usual one of {name} (2 cm{better})")
-    return J0
+    return J0, None if model is None else float(-model.vertices[:, 1].min())

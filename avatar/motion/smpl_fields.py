@@ -35,12 +35,11 @@ from avatar.motion.pose_vector import (
     PoseLayout,
     check_numbers,
     expanded,
-    given_pelvis,
     pose_layout,
     readable,
+    rested_pelvis,
     up_axis,
     upright_of,
-    usual_pelvis,
 )
 from avatar.rotation import matrix_from_quaternion, turned
 from command.errors import AssetError
@@ -166,8 +165,7 @@ def read_pose_fields(fields: PoseFields, body: Body | None, notes: list[str]) ->
     place = None if place_name is None else fields.rows(place_name, poses.frames, (3,))
     rate = _rate(fields, notes)
     up = _up(fields, poses, notes)
-    smplx = poses.layout.smplx or fields.first(JAW) is not None
-    pelvis, height = _pelvis(fields, body, up, smplx, notes)
+    pelvis, height = _pelvis(fields, body, up, poses.layout.smplx, notes)
     turn = np.array(TURNS[up])
     R = np.round(matrix_from_quaternion(turn))
 
@@ -293,16 +291,15 @@ def _pelvis(
     fields: PoseFields, body: Body | None, up: str, smplx: bool, notes: list[str]
 ) -> tuple[Float[Array, "3"], float | None]:
     """J0 of the file's body, and the height of its pelvis above its soles where it is known."""
-    height = None
+    height, smplx = None, smplx or fields.first(JAW) is not None
     if "pelvis_height" in fields.names:
         height = checked_pelvis_height(f"{fields.path}: pelvis_height", float(fields.few("pelvis_height", 1)[0]))
     if "pelvis" in fields.names:
         return fields.few("pelvis", 3), height
-    name = fields.first(SHAPE)
-    betas = np.zeros(0) if name is None else fields.numbers(name, LARGEST_BETA)
-    if given := given_pelvis(betas, body, notes, smplx=smplx):
-        return given
-    if up == "+y" and "up_axis" in fields.names:
+    if up == "+y" and "up_axis" in fields.names and (body is None or body.name.startswith("builtin")):
         notes.append("pelvis: at trans, as in our own y-up files")
         return np.zeros(3), height
-    return usual_pelvis(notes, smplx=smplx), height
+    name = fields.first(SHAPE)
+    betas = np.zeros(0) if name is None else fields.numbers(name, LARGEST_BETA)
+    J0, own = rested_pelvis(betas, body, notes, smplx=smplx)
+    return J0, height if own is None else own
