@@ -24,6 +24,10 @@ NECK = 0.4
 _LOOKS = np.array([[NUMBER[f"eyeLook{way}"] for way in ways.split()] for ways in (
     "OutLeft InLeft UpLeft DownLeft", "InRight OutRight UpRight DownRight",
 )])  # fmt: skip
+# by eye, left first: its blink, and what else moves its lids
+_BLINKS = [NUMBER["eyeBlinkLeft"], NUMBER["eyeBlinkRight"]]
+_LIDS = np.array([[*looks, NUMBER[f"eyeSquint{side}"], NUMBER[f"eyeWide{side}"]]
+                  for looks, side in zip(_LOOKS, ("Left", "Right"), strict=True)])  # fmt: skip
 
 
 def within_reach(gaze: Float[Array, "*f 2 2"]) -> Float[Array, "*f 2 2"]:
@@ -38,12 +42,19 @@ def gaze_of(weights: Float[Array, "*f 52"]) -> Float[Array, "*f 2 2"]:
 
 
 def with_looks(weights: Float[Array, "52"], gaze: Float[Array, "2 2"]) -> Float[Array, "52"]:
-    """The weights with the eyeLook* shapes of a gaze, so that lids follow it: less by what they are closed already."""
+    """The weights with the eyeLook* shapes of a gaze, so that lids follow it."""
     out = weights.copy()
     yaw, pitch = within_reach(gaze).T
     looks = np.stack([yaw / YAW, -yaw / YAW, pitch / UP, -pitch / DOWN], 1)
-    closed = weights[[NUMBER["eyeBlinkLeft"], NUMBER["eyeBlinkRight"]]]
-    out[_LOOKS] = np.maximum(looks, 0.0) * (1.0 - closed)[:, None]
+    out[_LOOKS] = np.maximum(looks, 0.0)
+    return out
+
+
+def with_blinks(weights: Float[Array, "*f 52"]) -> Float[Array, "*f 52"]:
+    """The weights, from 0 to 1, as they are shown: what else moves lids less by what a blink closes them, so that a
+    closed eye is closed, no more and no less, whatever it looks at, squints or widens."""
+    out = weights.copy()
+    out[..., _LIDS] *= 1.0 - weights[..., _BLINKS, None]
     return out
 
 

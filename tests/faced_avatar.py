@@ -36,6 +36,7 @@ def faced() -> Avatar:
     for eye, side in zip(eyes, ("Left", "Right")):
         near = np.linalg.norm(points - eye.center, axis=1) < 0.03
         offsets[SHAPES.index(f"eyeBlink{side}"), near] = 0.8 * (eye.center - points[near])
+        offsets[SHAPES.index(f"eyeWide{side}"), near] = 0.3 * (points[near] - eye.center)
     moved = offsets.any((0, 2))
     balls, first = [], len(level.positions)
     fields = {name: [getattr(level, name)] for name in ("positions", "normals", "uv", "joints", "weights", "faces")}

@@ -20,7 +20,7 @@ from numpy import ndarray as Array
 from avatar.baked_avatar import Level
 from avatar.camera import Camera
 from avatar.face import REST, SHAPES, Eye, FaceFrame, eye_turn
-from avatar.gaze import within_reach
+from avatar.gaze import with_blinks, within_reach
 from avatar.skeleton import JOINT_NUMBERS
 from player.draw.drawing import Drawing, FrameInputs, Pose
 from player.draw.plan import FACE_UNIT, OUT_OF_VIEW, Addition, Decision, Draft, Pass, PassState
@@ -88,8 +88,8 @@ class FaceBlend:
 
 
 def within_limits(frame: FaceFrame) -> FaceFrame:
-    """Weights from 0 to 1, and eyes no further than they turn."""
-    return FaceFrame(np.clip(frame.weights, 0.0, 1.0), within_reach(frame.gaze))
+    """Weights from 0 to 1 with blinks that close, and eyes no further than they turn."""
+    return FaceFrame(with_blinks(np.clip(frame.weights, 0.0, 1.0)), within_reach(frame.gaze))
 
 
 def head_pixels(bones: PosedBones, camera: Camera) -> float:

@@ -16,7 +16,9 @@ class Face {
   texels({ weights, gaze }) {
     const { facts, rest, shapes } = this, out = new Float32Array(4 * FACE_WIDTH * facts.rows);
     for (let shape = 0; shape < 52; shape++) {
-      const weight = limited(weights[shape], 0, 1);
+      // the first 14 shapes are of the eyes, 7 each, its blink first: less by what that closes (avatar/gaze.py, with_blinks)
+      const closed = shape < 14 && shape % 7 ? limited(weights[shape < 7 ? 0 : 7], 0, 1) : 0;
+      const weight = limited(weights[shape], 0, 1) * (1 - closed);
       if (weight)
         for (let i = 0, at = 3 * shape; i < facts.moving; i++, at += 156)
           for (let c = 0; c < 3; c++) out[4 * (i + 1) + c] += weight * shapes[at + c];

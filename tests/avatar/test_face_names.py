@@ -5,7 +5,7 @@ import pytest
 
 from avatar.face import SHAPES, Eye
 from avatar.face_names import NUMBER, shapes_called, weights_of
-from avatar.gaze import YAW, gaze_at, gaze_of, with_looks, within_reach
+from avatar.gaze import YAW, gaze_at, gaze_of, with_blinks, with_looks, within_reach
 
 
 def test_every_shape_is_known_by_all_its_spellings():
@@ -31,6 +31,14 @@ def test_looking_to_the_left_is_out_of_the_left_eye_and_into_the_right_and_back(
     for sign in (-1, 1):
         asked = np.array([[0.3, 0.2 * sign], [-0.4, 0.1]])
         assert np.allclose(gaze_of(with_looks(np.zeros(52), asked)), within_reach(asked))
+
+
+@pytest.mark.parametrize("other", ["eyeLookDown", "eyeSquint", "eyeWide"])
+def test_a_blink_closes_its_eye_whatever_else_the_lids_do(other):
+    blinks = {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 0.25, "aa": 0.5}
+    asked = weights_of({**blinks, f"{other}Left": 1.0, f"{other}Right": 0.8})
+    shown = weights_of({**blinks, f"{other}Right": 0.6})
+    assert np.allclose(with_blinks(np.stack([asked, 0 * asked])), [shown, 0 * shown])
 
 
 def test_eyes_converge_on_a_point_wherever_the_head_is():

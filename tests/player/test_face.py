@@ -54,8 +54,8 @@ def test_shapes_add_up_and_eyes_turn_about_their_centers_to_the_persons_left_and
 
 def test_weights_and_gaze_are_clamped():
     motion = FaceMotion(faced().levels[0], faced().eyes)
-    wild = motion.wanted(FaceFrame(np.linspace(-3, 3, 52), np.array([[2.0, 2.0], [-2.0, -2.0]])))
-    assert wild.weights.min() == 0 and wild.weights.max() == 1
+    wild = motion.wanted(FaceFrame(np.linspace(3, -3, 52), np.array([[2.0, 2.0], [-2.0, -2.0]])))
+    assert wild.weights.min() == 0 and wild.weights.max() == 1 and not wild.weights[1:7].any(), "closed is closed"
     assert np.allclose(np.degrees(wild.gaze), [[35, 25], [-35, -30]])
 
 

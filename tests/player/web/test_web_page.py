@@ -105,7 +105,7 @@ def test_a_face_moves_as_render_moves_it_and_a_level_without_one_stays_still(pag
     tab, *_ = page
     level = replace(faced().levels[0], base_color=painted().levels[0].base_color)
     avatar = replace(faced(), levels=(level, replace(painted().levels[0], features=None)))
-    faces = [doing(), doing((0.3, -0.2), jawOpen=0.7, eyeBlinkLeft=1.0)]
+    faces = [doing(), doing((0.3, -0.2), jawOpen=0.7, eyeBlinkLeft=0.9, eyeWideLeft=1.0)]
     motion = replace(two_poses((np.zeros((52, 3)), np.zeros(3)))[1], faces=lambda start, stop: (
         np.stack([face.weights for face in faces[start:stop]]), np.stack([face.gaze for face in faces[start:stop]])
     ))  # fmt: skip
