@@ -180,7 +180,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
         AssetError: a file cannot be read, or imgui-bundle is not installed.
     """
     from player.live.session import live_session
-    from player.scene.opened import notes_of, opened_avatars
+    from player.scene.opened import notes_of, opened_avatars, still_faces
     from player.window.recent import keep_recent
     from player.window.show import file_stamps, opened_show
 
@@ -206,7 +206,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
         opened = [command.scene] if command.scene else [*command.motion, *command.avatar]
         for path in opened if command.script is None else ():
             keep_recent(path)
-        for note in notes_of(show.playback.tracks):
+        for note in (*notes_of(show.playback.tracks), *still_faces(show.playback.tracks, avatars)):
             print(note)
         return play(
             show, size=scene.size or (1280, 800), null=command.platform == "null", panels=command.gui,

@@ -28,6 +28,7 @@ from player.gl.context import Context, open_context
 from player.scene.arguments import with_effects, with_options
 from player.scene.effects import Effects
 from player.scene.motions import frame_range
+from player.scene.opened import still_faces
 from player.scene.renderer import Renderer
 from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera, side_by_side
 
@@ -83,6 +84,7 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
     if command.budget:
         assert context is not None, "workers are refused with a budget"
         rung = buy_rung(command, stage, context, fit, start, stop)
+    stage.notes += still_faces(stage.tracks, stage.avatars, rung.level)
     shot = Shot(
         stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, rung,
         command.quality, command.context, command.gpu,

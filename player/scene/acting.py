@@ -1,6 +1,5 @@
 """What an avatar's face does in a scene: its motion's or its sender's own, else life; and speech moves its mouth."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,12 +90,3 @@ def opened_acting(entry: SceneAvatar, avatar: Avatar) -> Acting | None:
     if entry.life is None and entry.speech is None:
         return None
     return Acting(avatar, entry.life, None if entry.speech is None else Speech(read_wav(entry.speech)))
-
-
-def faceless(names: Sequence[str], acting: Sequence[Acting | None]) -> list[str]:
-    """A note for each avatar that should act and has no face."""
-    return [
-        f"{name}: no face in its file; life moves its chest alone, speech nothing"
-        for name, one in zip(names, acting, strict=True)
-        if one is not None and one.avatar.eyes is None
-    ]

@@ -8,7 +8,7 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from avatar.camera import read_camera, read_cameras
 from avatar.gltf.avatar_file import read_avatar
-from player.scene.acting import faceless, opened_acting
+from player.scene.acting import opened_acting
 from player.scene.camera_path import CameraPath, is_path
 from player.scene.cameras import FrameCameras
 from player.scene.capture_view import CaptureView, open_capture
@@ -67,16 +67,28 @@ def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView
 
 def notes_of(tracks: Sequence[Track]) -> list[str]:
     """What was assumed about the motions: what holds for all of them once, the rest by avatar."""
-    silent = faceless([track.name for track in tracks], [track.acting for track in tracks])
     if len({track.motion.notes for track in tracks}) == 1:
-        return [*tracks[0].motion.notes, *silent]
+        return list(tracks[0].motion.notes)
     shared = set.intersection(*(set(track.motion.notes) for track in tracks))
     return [
         note if note in shared else f"avatar {k} ({track.name}), {note}"
         for k, track in enumerate(tracks, 1)
         for note in track.motion.notes
         if note not in shared or k == 1
-    ] + silent
+    ]
+
+
+def still_faces(tracks: Sequence[Track], avatars: Sequence[Avatar], level: int = 0) -> list[str]:
+    """A note for each avatar whose face life, speech or its motion should move, and that has none at this level."""
+    notes = []
+    for track, avatar in zip(tracks, avatars, strict=True):
+        if avatar.level(level).face is not None or (track.acting is None and track.pose(0.0).face is None):
+            continue
+        finest = sum(one.face is not None for one in avatar.levels)
+        why = f"at level {min(level, len(avatar.levels) - 1)}; levels below {finest} have a face"
+        why = why if finest else "for want of one in its file"
+        notes.append(f"{avatar.name}: its face stays still {why}")
+    return notes
 
 
 def opened_capture(camera: SceneCamera) -> CaptureView | None:

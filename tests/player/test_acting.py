@@ -18,6 +18,7 @@ from player.film.stage import Stage
 from player.play_command import with_life
 from player.scene.acting import ALONE, Acting
 from player.scene.motions import standing
+from player.scene.opened import still_faces
 from player.scene.scene import Scene, SceneAvatar
 from player.scene.track import Track
 from player.window.playback import Playback
@@ -116,8 +117,12 @@ def test_the_window_gives_life_to_faces_alone_and_none_where_it_is_not_wanted(av
     assert not playback.lives and not Playback([replace(track, acting=None)]).lives
 
 
-def test_an_avatar_without_a_face_is_said(avatar, files, tmp_path):
-    write_avatar(tmp_path / "b.glb", avatar)
-    notes = Stage(Scene((SceneAvatar(str(tmp_path / "b.glb"), life=1, speech=files["wav"]),))).notes
-    assert any("no face in its file" in note for note in notes)
-    assert not any("no face" in note for note in stage(files, life=1).notes)
+@pytest.mark.parametrize("asked", [{"life": 1}, {"speech": "wav"}, {"motion": "npz"}], ids=str)
+def test_a_face_that_stays_still_for_want_of_one_is_said(avatar, files, asked):
+    tracks = stage(files, **{name: files.get(value, value) for name, value in asked.items()}).tracks
+    coarse = replace(faced(), levels=(*faced().levels, *avatar.levels))
+    assert still_faces(tracks, [coarse]) == [] == still_faces(stage(files).tracks, [avatar])
+    assert [note.partition(";")[0].partition(": ")[2] for one, level in ((coarse, 7), (avatar, 0)) for note in
+            still_faces(tracks, [one], level)] == [
+        "its face stays still at level 1", "its face stays still for want of one in its file",
+    ]  # fmt: skip
