@@ -1,5 +1,6 @@
 """Sound to the shapes of a mouth: made vowels and hisses are what they are, silence is silence."""
 
+import struct
 import wave
 
 import numpy as np
@@ -68,6 +69,19 @@ def test_the_jaw_opens_in_30_ms_closes_in_80_and_never_wider_than_a_talk():
     rise, fall = (np.flatnonzero(jaw > share * jaw.max()) for share in (0.1, 0.9))
     assert fall[0] - rise[0] < 70 < rise[-1] - fall[-1]
     assert not speech.weights(-0.01).any() and not speech.weights(speech.seconds + 0.1).any()
+
+
+@pytest.mark.parametrize("form", ["<i3", "<f4", "<f8"])
+def test_24_bits_under_an_extensible_header_and_floats_are_read_and_of_a_file_cut_short_what_there_is(form, tmp_path):
+    wanted, width = vowel(560, 1800), int(form[-1])
+    tag, values = (3, wanted.astype(form)) if "f" in form else (1, np.round(wanted * 2**23).astype("<i4"))
+    held = values.view(np.uint8).reshape(len(wanted), -1)[:, :width].tobytes()
+    said = struct.pack("<HHIIHH", 0xFFFE, 1, RATE, RATE * width, width, 8 * width)
+    said += struct.pack("<HHIH14x", 22, 8 * width, 4, tag)
+    riff = b"RIFF\xff\xff\xff\xffWAVEodd \1\0\0\0..fmt " + struct.pack("<I", len(said)) + said
+    (tmp_path / "a.wav").write_bytes(riff + b"data\xff\xff\xff\xff" + held[: -5 * width - 1])
+    sound = read_wav(tmp_path / "a.wav")
+    assert len(sound.samples) == len(wanted) - 6 and np.abs(sound.samples - wanted[:-6]).max() < 2e-7
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 4])
