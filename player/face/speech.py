@@ -109,7 +109,8 @@ def features(sound: Sound) -> Float[Array, "frames 7"]:
     """Every STEP: decibels, shares of power below 900 Hz and above 3.5 kHz, the high band's middle, F1, F2, F3 (Hz)."""
     hop, size = round(STEP * sound.rate), round(WINDOW * sound.rate)
     count = -(-len(sound.samples) // hop)
-    padded = np.pad(sound.samples, (size // 2, count * hop + size - len(sound.samples)))
+    # a constant part, of many sound cards, is no voice
+    padded = np.pad(sound.samples - sound.samples.mean(), (size // 2, count * hop + size - len(sound.samples)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, size)[::hop][:count]
     hertz = np.fft.rfftfreq(2 * size, 1 / sound.rate)
     parts = [_heard(windows[k : k + AT_ONCE] * np.hanning(size), hertz) for k in range(0, count, AT_ONCE)]
