@@ -17,6 +17,8 @@ from avatar.skeleton import JOINT_NUMBERS
 
 # as far as eyes turn without effort
 YAW, UP, DOWN = np.radians([35.0, 25.0, 30.0]).tolist()
+# as far as each turns towards the other from where both look
+CROSSED = float(np.radians(25.0))
 NECK_AND_HEAD = [JOINT_NUMBERS["neck"], JOINT_NUMBERS["head"]]
 # the neck's share of the head's turn
 NECK = 0.4
@@ -31,8 +33,12 @@ _LIDS = np.array([[*looks, NUMBER[f"eyeSquint{side}"], NUMBER[f"eyeWide{side}"]]
 
 
 def within_reach(gaze: Float[Array, "*f 2 2"]) -> Float[Array, "*f 2 2"]:
-    """Each eye no further than it turns."""
-    return np.clip(gaze, [-YAW, -DOWN], [YAW, UP])
+    """Each eye no further than it turns, and both no further towards each other than eyes do."""
+    out = np.clip(gaze, [-YAW, -DOWN], [YAW, UP])
+    beyond = np.maximum((out[..., 1, 0] - out[..., 0, 0]) / 2 - CROSSED, 0.0)
+    out[..., 0, 0] += beyond
+    out[..., 1, 0] -= beyond
+    return out
 
 
 def gaze_of(weights: Float[Array, "*f 52"]) -> Float[Array, "*f 2 2"]:

@@ -1,6 +1,6 @@
 // A face that moves: its shapes blended and its eyes turned, as texels for shaders/face.glsl. Mirrors player/draw/face.py.
 
-const FACE_WIDTH = 64, FACE_UNIT = 7, CLEARANCE = 3e-4;
+const FACE_WIDTH = 64, FACE_UNIT = 7, CLEARANCE = 3e-4, CROSSED = (25 * Math.PI) / 180;
 
 class Face {
   // facts: moving, rows, balls, lids and eyes of a level; shapes: 52 times 3 numbers of each moving vertex
@@ -23,9 +23,11 @@ class Face {
         for (let i = 0, at = 3 * shape; i < facts.moving; i++, at += 156)
           for (let c = 0; c < 3; c++) out[4 * (i + 1) + c] += weight * shapes[at + c];
     }
+    const yaw = [gaze[0], gaze[2]].map((value) => limited(value, ...facts.aside));
+    const beyond = Math.max((yaw[1] - yaw[0]) / 2 - CROSSED, 0);
     facts.eyes.forEach(({ center, radius }, eye) => {
       const from = (slot) => center.map((value, c) => rest[3 * slot + c] - value);
-      const R = eyeTurn(limited(gaze[2 * eye], ...facts.aside), limited(gaze[2 * eye + 1], ...facts.upwards));
+      const R = eyeTurn(yaw[eye] + (eye ? -beyond : beyond), limited(gaze[2 * eye + 1], ...facts.upwards));
       const [first, count] = facts.balls[eye];
       for (let slot = first; slot < first + count; slot++) {
         const p = from(slot);

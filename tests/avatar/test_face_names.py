@@ -46,4 +46,6 @@ def test_eyes_converge_on_a_point_wherever_the_head_is():
     head = np.array([[0.0, 0, -1, 1], [0, 1, 0, 2], [1, 0, 0, 3], [0, 0, 0, 1]])
     gaze = gaze_at((head @ [0.0, 0.1, 0.35, 1.0])[:3], eyes, head)
     assert np.allclose(gaze, [[-np.arctan(0.1), 0], [np.arctan(0.1), 0]])
+    left, right = np.degrees(within_reach(gaze_at((head @ [0.0, 0.1, 0.09, 1.0])[:3], eyes, head)))[:, 0]
+    assert (left, right) == pytest.approx((-25, 25)), "no further, of the 37 degrees that a point 4 cm away asks for"
     assert (gaze_at((head @ [0.5, 0.6, 0.35, 1.0])[:3], eyes, head) > 0.5).all()
