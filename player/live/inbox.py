@@ -19,7 +19,7 @@ from player.live.json_pose import JsonDecoder, JsonPose
 from player.live.livelinkface import parse_livelinkface
 from player.live.openseeface import parse_openseeface
 from player.live.take import Take
-from player.live.vmc import VmcDecoder, VmcState, face_of, rig_from_state
+from player.live.vmc import VmcDecoder, VmcState, rig_from_state
 
 # seconds; float32 clocks step by 1 ms from here on, so arrival is the better clock
 COARSE = 8192.0
@@ -128,7 +128,7 @@ class Inbox:
     def pose(self, frame: LiveFrame) -> Pose:
         """A frame in our joints and world, of the sender's body."""
         if isinstance(frame.content, VmcState):
-            return pose_from_rig(rig_from_state(frame.content), self.calibration, face_of(frame.content))
+            return pose_from_rig(rig_from_state(frame.content), self.calibration, frame.content.face)
         assert isinstance(frame.content, JsonPose | SentFace)
         return frame.content.pose
 

@@ -21,9 +21,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from avatar.face import REST, SHAPES, FaceFrame
+from avatar.face import SHAPES, FaceFrame
 from avatar.face_names import shapes_called, weights_of
-from avatar.gaze import angles_of, with_looks, within_reach
+from avatar.gaze import angles_of, within_reach
 from avatar.rotation import matrix_from_quaternion, quaternion_from_axis_angle
 from avatar.skeleton import PARENTS
 from player.draw.drawing import Pose
@@ -78,6 +78,8 @@ class VmcRig(NamedTuple):
     root: Float[Array, "3"]
     # metres from the pelvis' height to the ankle, along the bones
     leg: float | None
+    # parent_from_bone of the left and of the right one; None: not sent
+    eyes: Float[Array, "2 4"] | None = None
 
 
 class VmcDecoder:
@@ -179,24 +181,11 @@ def _pose(numbers: list[float]) -> Bone | None:
     return pose if sound else None
 
 
-def gaze_of_bones(bones: dict[str, Bone]) -> Float[Array, "2 2"] | None:
-    """The gaze of the eyes' bones; None where they were not sent, or do not turn."""
-    if not all(name in bones for name in EYES):
-        return None
-    turns = np.array([bones[name][3:] for name in EYES]) * [1.0, -1, -1, 1]
+def gaze_of_eyes(turns: Float[Array, "2 4"]) -> Float[Array, "2 2"] | None:
+    """The gaze of the eyes' bones; None where they do not turn."""
     if np.abs(turns[:, :3]).max() < 1e-6:
         return None
-    ahead = matrix_from_quaternion(turns / np.linalg.norm(turns, axis=1, keepdims=True))[:, :, 2]
-    return within_reach(np.stack([angles_of(one) for one in ahead]))
-
-
-def face_of(state: VmcState) -> FaceFrame | None:
-    """The face of a state, the lids of a gaze of bones with it; None: the sender says nothing of it."""
-    gaze = gaze_of_bones(state.bones)
-    if gaze is None:
-        return state.face
-    weights = REST.weights if state.face is None else state.face.weights
-    return FaceFrame(with_looks(weights, gaze), gaze)
+    return within_reach(np.stack([angles_of(ahead) for ahead in matrix_from_quaternion(turns)[:, :, 2]]))
 
 
 def rig_from_state(state: VmcState) -> VmcRig:
@@ -212,7 +201,11 @@ def rig_from_state(state: VmcState) -> VmcRig:
     mirror = np.array([-1, 1, 1, 1, -1, -1, 1.0])
     poses, root = poses * mirror, root * mirror
     rotations = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
-    return VmcRig(rotations, poses[0, :3], root[3:] / np.linalg.norm(root[3:]), root[:3], leg_length(poses[:, :3]))
+    turn, leg, eyes = root[3:] / np.linalg.norm(root[3:]), leg_length(poses[:, :3]), None
+    if all(name in state.bones for name in EYES):
+        eyes = np.array([state.bones[name][3:] for name in EYES]) * mirror[3:]
+        eyes /= np.linalg.norm(eyes, axis=1, keepdims=True)
+    return VmcRig(rotations, poses[0, :3], turn, root[:3], leg, eyes)
 
 
 def leg_length(offsets: Float[Array, "52 3"]) -> float | None:

@@ -11,6 +11,7 @@ from avatar.face import REST, SHAPES, FaceFrame
 from avatar.gaze import YAW, gaze_of, turned_head
 from avatar.motion.clip import Clip
 from avatar.motion.read import read_motion
+from avatar.rotation import quaternion_from_axis_angle, quaternion_inverse, quaternion_product
 from avatar.skeleton import JOINT_NUMBERS as J
 from player.draw.drawing import Pose
 from player.live.command import encoder, timed_poses
@@ -202,8 +203,20 @@ def test_the_bones_of_eyes_turn_the_gaze_and_lids_follow():
     # left-handed, y up: down by 0.2 rad, and to the person's left, which is -x there
     down, left = (s, 0.0, 0.0, c), (0.0, -s, 0.0, c)
     for turn, wanted in ((down, [0, -0.2]), (left, [0.2, 0])):
-        eyes = [build_message("/VMC/Ext/Bone/Pos", name, 0.0, 0.0, 0.0, *turn) for name in ("LeftEye", "RightEye")]
-        inbox, pose = received("vmc", vmc({"jawOpen": 0.5}), build_bundle(eyes))
+
+        def bones(eye, head):
+            turns = {"Head": head, "LeftEye": eye, "RightEye": eye}
+            return build_bundle([build_message("/VMC/Ext/Bone/Pos", k, 0.0, 0.0, 0.0, *q) for k, q in turns.items()])
+
+        straight = np.array([0.0, 0, 0, 1])
+        inbox, pose = received("vmc", vmc({"jawOpen": 0.5}), bones(turn, straight))
+        # raw bones: the head's axes turned at rest, and the eyes' in them
+        head, rest = (quaternion_from_axis_angle(np.array(turned)) for turned in ([0.4, 0, 1.1], [-1.2, 0.3, 0]))
+        inbox.feed(bones(rest, head), 2.0)
+        assert inbox.calibrate() and np.abs(inbox.sample()[1].face.gaze).max() < 1e-6
+        in_head = quaternion_product(quaternion_product(quaternion_inverse(head), np.array(turn)), head)
+        inbox.feed(bones(quaternion_product(in_head, rest), head), 2.1)
+        assert np.allclose(inbox.sample()[1].face.gaze, [wanted] * 2, atol=1e-6), "the same, whatever its axes"
         assert (
             np.allclose(pose.face.gaze, [wanted] * 2, atol=1e-6) and pose.face.weights[SHAPES.index("jawOpen")] == 0.5
         )
