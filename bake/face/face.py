@@ -31,7 +31,7 @@ from bake.face.eyes import (
 )
 from bake.face.features import aligned
 from bake.face.follow import following
-from bake.face.lips import LipLine, cut_lips, lip_line
+from bake.face.lips import LipLine, cut_lips, kept_closed, lip_line
 from bake.face.mouth import Mouth, coarser, mouth_behind, mouth_picture
 from bake.face.own import with_own_face
 from bake.face.strip import LEFT_EYE, MOUTH, RIGHT_EYE, StripPart, size_in, uv_in, with_strip
@@ -154,7 +154,7 @@ def parted(
         opened.append(cut_ball(level, person, center, float(radius), coarse, opening))
         level = opened[-1].level
     lip = np.r_[cut.lip, np.zeros(len(level.positions) - len(cut.lip), np.int64)]
-    offsets = carried(level, person, line, lip, flat=not person.filmed)
+    offsets = kept_closed(cut, carried(level, person, line, lip, flat=not person.filmed))
     points = level.positions.astype(np.float64)
     used = np.unique(level.faces)
     for side, one, center, radius in zip(SIDES, opened, *person.eyes):

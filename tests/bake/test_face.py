@@ -102,6 +102,13 @@ def test_lips_touch_at_rest_and_part_between_their_corners_when_the_jaw_opens():
     assert np.median(np.linalg.norm(np.diff(upper, axis=0), axis=1)) > STEP
 
 
+@pytest.mark.parametrize("shape", ["mouthDimpleLeft", "mouthStretchRight", "noseSneerLeft"])
+def test_lips_that_a_shape_hardly_parts_stay_closed(shape):
+    offsets = PARTED.growing.offsets[SHAPES.index(shape)]
+    apart = offsets[PARTED.upper, 1] - offsets[PARTED.lower, 1]
+    assert apart.max() < 1e-7 and np.abs(offsets[PARTED.upper]).max() > 1e-4
+
+
 def test_a_mouth_closed_again_leaves_less_than_a_millimetre():
     offsets = PARTED.growing.offsets
     both = offsets[SHAPES.index("jawOpen")] + offsets[SHAPES.index("mouthClose")]
