@@ -1,7 +1,6 @@
 """The sound of a WAV file that someone else may have written: whole numbers or floats, its channels mixed.
 
-Python's own reader knows plain PCM alone (extensible headers from 3.12 on): most programs write 24 bits under an
-extensible header, and many write floats.
+Python's own reader knows no floats, and extensible headers, under which most programs write 24 bits, from 3.12 on.
 """
 
 import struct
@@ -55,11 +54,11 @@ def read_wav(path: Path | str) -> Sound:
         raise AssetError(f"{path}: expected {WHAT} with samples, found none")
     octets = np.frombuffer(held, np.uint8, count * row).reshape(count, channels, width)
     if tag == FLOATS:
-        mixed = octets.view(f"<f{width}")[..., 0].mean(1, dtype=np.float64)
+        samples = octets.view(f"<f{width}")[..., 0].mean(1, dtype=np.float64)
         # false for what is not finite; louder by far than any file's unit
-        if not (np.abs(mixed) < 1e10).all():
+        if not (np.abs(samples) < 1e10).all():
             raise AssetError(f"{path}: expected {WHAT}, found samples that are not finite")
-        return Sound(mixed.astype(np.float32), rate)
+        return Sound(samples.astype(np.float32), rate)
     if width == 1:
         return Sound(octets[..., 0].mean(1, dtype=np.float32) / 128 - 1, rate)
     # whole numbers of 4 bytes, their lowest ones 0

@@ -84,9 +84,8 @@ def still_faces(tracks: Sequence[Track], avatars: Sequence[Avatar], level: int =
     for track, avatar in zip(tracks, avatars, strict=True):
         if avatar.level(level).face is not None or (track.acting is None and track.pose(0.0).face is None):
             continue
-        finest = sum(one.face is not None for one in avatar.levels)
-        why = f"at level {min(level, len(avatar.levels) - 1)}; levels below {finest} have a face"
-        why = why if finest else "for want of one in its file"
+        finest, drawn = sum(one.face is not None for one in avatar.levels), min(level, len(avatar.levels) - 1)
+        why = f"at level {drawn}; levels below {finest} have a face" if finest else "for want of one in its file"
         notes.append(f"{avatar.name}: its face stays still {why}")
     return notes
 
