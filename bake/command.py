@@ -17,7 +17,7 @@ The file is a plain glTF binary that any viewer opens. What baking lost is measu
 
 
 ABOUT = Help(
-    "selfscan bake", HELP, "example: selfscan bake out/run -o me.glb --capture out/capture && selfscan play me.glb"
+    "selfscan bake", HELP, "example: selfscan bake run -o me.glb --capture capture && selfscan play me.glb"
 )
 
 

@@ -15,7 +15,7 @@ from player.scene.arguments import parse_size
 class BenchCommand:
     out: Annotated[Path, Option(("-o",), "DIR"), "folder to write"]
     avatar: Annotated[Path | None, Option(positional=True, metavar="AVATAR"),
-        "avatar file (.glb); of --effects none: the built-in body"] = None
+        "avatar file (.glb), or builtin; of --effects none: the built-in body"] = None
     effects: Annotated[bool, "instead: what each effect of a scene costs, alone and all together"] = False
     run: Annotated[Path | None, Option(metavar="RUN"), "run folder it was baked from: adds the field as a rung"] = None
     capture: Annotated[Path | None, Option(metavar="CAPTURE"),
@@ -39,8 +39,8 @@ BENCH = Help(
     """What accuracy costs in time on this machine: every way the player can draw an avatar, timed and compared with the
 best one, with the field it came from (--run) and with the truth (--capture).""",
     """examples
-  selfscan bench avatar.glb --run out/run --capture out/capture -o out/bench
-  selfscan bench --effects -o out/effects       or of an avatar: selfscan bench avatar.glb --effects -o out/effects""",
+  selfscan bench avatar.glb --run run --capture capture -o bench
+  selfscan bench --effects -o effects           or of an avatar: selfscan bench avatar.glb --effects -o effects""",
 )
 
 

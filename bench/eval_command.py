@@ -32,7 +32,7 @@ EVAL = Help(
 PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views. What comes from raw videos is measured
 against the folder of `synth --raw --keypoints --held-out`: its poses are fitted to the held-out pictures, never read
 from the truth.""",
-    "example: selfscan eval out/run out/capture --json quality.json",
+    "example: selfscan eval run capture --json quality.json",
 )
 
 

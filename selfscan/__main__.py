@@ -38,7 +38,7 @@ judge it
   doctor                                 which OpenGL context works here, and what is missing
 
 `selfscan COMMAND --help` explains a command, `selfscan --version` says which this is, `selfscan --debug COMMAND ...`
-shows where an error arose. Try `selfscan render avatar.glb --motion counting -o film.mp4`.
+shows where an error arose. Try `selfscan render builtin --motion counting -o film.mp4`.
 """
 COMMANDS = re.findall(r"^  ([a-z]+) ", USAGE, re.MULTILINE)
 PACKAGES = ("files", "command", "avatar", "geometry", "capture", "train", "player", "bake", "shaders", "synth", "bench",

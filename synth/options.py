@@ -74,7 +74,7 @@ ABOUT = Help(
     """Film a self-scan of a person whose mesh is known: four videos (body turning in a T-pose, head, each hand) with
 masks, cameras and poses, the registered template, and held-out pictures to measure with. With --raw four video files
 as a phone writes them, for `selfscan import video`: a room behind, noise, a person who sways.""",
-    "example: selfscan synth builtin out/capture && selfscan train out/capture -o out/run",
+    "example: selfscan synth builtin capture && selfscan train capture -o run",
 )
 
 

@@ -91,9 +91,9 @@ several devices
 
 EPILOG = """\
 examples:
-  selfscan train out/capture -o out/run
-  selfscan train out/capture -o out/run --resume
-  selfscan train out/capture -o out/run --preset fast --device cuda
+  selfscan train capture -o run
+  selfscan train capture -o run --resume
+  selfscan train capture -o run --preset fast --device cuda
 """
 
 

@@ -15,8 +15,8 @@ pictures as files, and inspect.json with the numbers. It needs no display. The p
 a table on top which numbers are as they should be. The command judges nothing by its exit code.
 
 examples
-  selfscan inspect me.glb -o out/inspect
-  selfscan inspect me.glb -o out/inspect --run out/run"""
+  selfscan inspect me.glb -o inspected
+  selfscan inspect me.glb -o inspected --run run"""
 
 
 @dataclass(frozen=True)

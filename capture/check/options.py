@@ -32,7 +32,7 @@ ABOUT = Help(
 frames, sharpness and view directions sound? Ends in a verdict: usable; usable, but ...; not usable because ...
 (exit code 1), each with what to do. Videos as filmed are looked at before any fit: is the person whole, alone and sharp
 in them, does the camera stand still, is there an empty second?""",
-    "example: selfscan check out/capture -o out/check, then look at out/check/overlays.png",
+    "example: selfscan check capture -o checked, then look at checked/overlays.png",
 )
 
 

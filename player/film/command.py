@@ -36,7 +36,7 @@ class RenderCommand:
 
     output: Annotated[str, Option(("-o", "--output"), "OUT"), "picture, film or folder to write"]
     avatar: Annotated[tuple[str, ...], Option(positional=True, metavar="AVATAR", several=True),
-        "avatar file (.glb); several stand side by side"] = ()
+        "avatar file (.glb), or builtin; several stand side by side"] = ()
     scene: Annotated[str | None, WHO, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR, --motion"] = None
     motion: Annotated[str | None, WHO, Option(metavar="FILE"),
         "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking (default: "

@@ -85,7 +85,7 @@ LOOKS, TIME, LIVE = OptionGroup("how it looks"), OptionGroup("how exact, and how
 MACHINE = OptionGroup("the machine and the window")
 
 # options that several commands have
-AvatarOption = Annotated[str, Option(positional=True, metavar="AVATAR"), "avatar file (.glb)"]
+AvatarOption = Annotated[str, Option(positional=True, metavar="AVATAR"), "avatar file (.glb), or builtin"]
 MotionOption = Annotated[str, Option(metavar="FILE"),
     "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking"]
 FramesOption = Annotated[tuple[int | None, int | None] | None, Option(metavar="A:B", parse=parse_frames),
