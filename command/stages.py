@@ -24,6 +24,11 @@ class Stage:
     minutes: float = 1.0
 
 
+def as_word(value: object) -> str:
+    """A value on a command line; a path that begins with a dash is no option."""
+    return f"./{value}" if isinstance(value, Path) and str(value).startswith("-") else str(value)
+
+
 def command(*words: str | Path) -> Callable[[], int]:
     """A command of the project as a process of its own.
 
@@ -33,7 +38,7 @@ def command(*words: str | Path) -> Callable[[], int]:
 
     def run() -> int:
         """The process's exit code, once it has ended."""
-        process = subprocess.Popen([sys.executable, "-m", *map(str, words)])
+        process = subprocess.Popen([sys.executable, "-m", *map(as_word, words)])
         try:
             return process.wait()
         except KeyboardInterrupt:

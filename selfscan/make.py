@@ -6,6 +6,7 @@ same command goes on. OUT.making beside the avatar holds what they leave.
 
 import filecmp
 import os
+import shlex
 import shutil
 import sys
 import time
@@ -20,7 +21,7 @@ from capture.read.command import FilmOptions
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.progress import clock_time
-from command.stages import Stage, command, run_stages
+from command.stages import Stage, as_word, command, run_stages
 from files.input_file import read_json_object
 from files.whole import check_file, is_free, whole_file, write_json
 
@@ -83,7 +84,7 @@ def words_of(reading: FilmOptions) -> list[str]:
     for field in fields(reading):
         value = getattr(reading, field.name)
         if value != field.default:
-            words += [f"--{field.name}", str(value)]
+            words += [f"--{field.name}", as_word(value)]
     return words
 
 
@@ -139,7 +140,7 @@ def published(product: Path, out: Path, began: float) -> int:
     with open(product, "rb") as source, whole_file(out, "wb") as file:
         shutil.copyfileobj(source, file)
     taken = clock_time(time.monotonic() - began)
-    print(f"\n{out}: ready after {taken}; look at it: selfscan play {out} --follow", flush=True)
+    print(f"\n{out}: ready after {taken}; look at it: selfscan play {shlex.quote(as_word(out))} --follow", flush=True)
     return 0
 
 
@@ -198,7 +199,7 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
     def train(name: str, run: Path, minutes: float, *words: object) -> Stage:
         """Train a run; what the first one found of hair, clothes and light is taken over."""
         resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
-        like = [] if run == first else ["--like", str(first)]
+        like = [] if run == first else ["--like", first]
         trained = command("selfscan", "train", capture, "-o", run, *like, *map(str, words), *resume)
         return Stage(name, run / "run.json", trained, minutes)
 

@@ -16,7 +16,7 @@ from command.command_line import Help, Hidden, Option, OptionGroup, parse, parse
 from command.interrupt import Stopped
 from command.progress import Progress, ProgressBoard, clock_time, progress
 from command.settings import LARGEST_INTEGER, Above, AtLeast, AtMost, OneOf, check, settings_json
-from command.stages import Stage, run_stages
+from command.stages import Stage, command, run_stages
 
 ABOUT = Help("selfscan try", "Tries settings.", "example: selfscan try a b")
 
@@ -248,6 +248,12 @@ def test_a_stop_waits_until_the_stage_has_saved_what_it_did(tmp_path, number):
         process.send_signal(number)
         assert process.wait() != 0
     assert (tmp_path / "saved").read_text() == "saved"
+
+
+def test_a_path_that_begins_with_a_dash_is_no_option(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("-in").write_text("[]")
+    assert command("json.tool", Path("-in"), Path("-out"))() == 0 and Path("-out").exists()
 
 
 @pytest.mark.parametrize("code", [130, -2, 143, -15])

@@ -197,7 +197,7 @@ def test_larger_films_are_said_to_take_longer(filmed_four, tmp_path, monkeypatch
 
 
 def test_a_first_avatar_stands_where_the_better_one_will(films, ran, tmp_path, capsys):
-    out = tmp_path / "me.glb"
+    out = tmp_path / "my avatar.glb"
     assert make.main([str(films), "-o", str(out), "--stature", "1.78", "--sex", "female"]) == 0
     kinds = [words[1] for words in ran]
     assert kinds == ["import", "train", "bake", "train", "bake"]
@@ -208,7 +208,8 @@ def test_a_first_avatar_stands_where_the_better_one_will(films, ran, tmp_path, c
     assert "--like" not in first and head[head.index("--like") + 1] == first[first.index("-o") + 1]
     assert "--texture" in early and "--texture" not in last
     assert out.read_text() == " ".join(last)
-    assert capsys.readouterr().out.count(f"{out}: ready after") == 2
+    said = capsys.readouterr().out
+    assert said.count(f"{out}: ready after") == said.count(f": selfscan play '{out}' --follow\n") == 2
 
 
 def test_films_that_are_not_there_are_refused_before_anything_is_made(tmp_path):
