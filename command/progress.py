@@ -59,7 +59,7 @@ class Progress:
         left = None if share <= 0 else spent / share - spent
         text = f"{self.label} {int(done)}/{self.total}  {clock_time(spent)}, {_left_text(left)}  {note}".rstrip()
         if live:
-            text = f"\r\x1b[K{_bar(share, 24)} {text}"
+            text = "\r\x1b[K" + _cut(f"{_bar(share, 24)} {text}")
         self.display.write(text if live and not last else text + "\n")
 
 
@@ -157,8 +157,7 @@ class ProgressBoard:
             self.close()
             lines = self.lines()
             if self.display.live:
-                width = shutil.get_terminal_size().columns - 1
-                lines = [line[:width] for line in lines]
+                lines = [_cut(line) for line in lines]
                 self.drawn = len(lines)
             self.display.write("".join(line + "\n" for line in lines))
 
@@ -219,6 +218,11 @@ def clock_time(seconds: float | int) -> str:
 
 def _left_text(seconds: float | int | None) -> str:
     return "time left not known yet" if seconds is None else f"{clock_time(seconds)} left"
+
+
+def _cut(line: str) -> str:
+    """What fits into one line of the terminal: a longer one takes two, of which a redraw takes back one."""
+    return line[: shutil.get_terminal_size().columns - 1]
 
 
 def _bar(share: float, width: int = 16) -> str:

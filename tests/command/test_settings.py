@@ -169,11 +169,20 @@ def test_preparation_is_said_and_times_are_read_at_a_glance():
     assert stream.getvalue() == "fitting 1/10  12:00, 1:08:00 left\n"
 
 
-def test_a_terminal_is_redrawn_in_place():
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
 
+
+def test_a_line_that_is_redrawn_is_no_longer_than_the_terminal_is_wide(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    report = Progress("frames", 10, stream := Terminal())
+    report.shown -= 1
+    report.update(3, "a note")
+    assert len(stream.getvalue().removeprefix("\r\x1b[K")) == 39
+
+
+def test_a_terminal_is_redrawn_in_place():
     now = [0.0]
     stream = Terminal()
     board = ProgressBoard({"body": 10}, 1, stream=stream, clock=lambda: now[0])
