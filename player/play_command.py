@@ -14,6 +14,7 @@ from command.command_line import Help, Option, parse
 from command.errors import AssetError, missing_package
 from command.interrupt import deferred_stop
 from command.settings import AtLeast, OneOf
+from files.whole import check_file
 from player.budget.ladder import parse_budget
 from player.effects.background import Background
 from player.effects.contact import Contact
@@ -110,6 +111,8 @@ class PlayCommand:
         return self.avatar or (BUILTIN,)
 
     def __post_init__(self):
+        if self.screenshot and not self.screenshot.lower().endswith(".png"):
+            raise ValueError(f"--screenshot: expected a name that ends in .png, found {self.screenshot!r}")
         if self.scene and self.avatar:
             raise ValueError("give AVATAR or --scene, one of them")
         live = self.source.live
@@ -137,6 +140,8 @@ PLAY = Help(
 
 def play_main(argv: list[str]) -> int:
     command = parse(PlayCommand, argv, PLAY)
+    if command.screenshot:
+        check_file(command.screenshot)
     try:
         return play_scene(scene_of(command), command)
     except ValueError as error:

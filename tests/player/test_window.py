@@ -160,6 +160,9 @@ def test_without_a_display_or_imgui_bundle_one_line_says_what_to_do(avatar_path,
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     refused(AssetError, r"no window: .*selfscan render", play_main, [avatar_path])
+    # before an hour of looking
+    refused(AssetError, "there is no folder", play_main, [avatar_path, "--screenshot", "nowhere/a.png"])
+    refused(SystemExit, "2", play_main, [avatar_path, "--screenshot", "a.jpg"])
     code = (
         "import sys; sys.modules['imgui_bundle'] = None\n"
         "from selfscan.__main__ import main\nsys.exit(main(sys.argv[1:]))"
