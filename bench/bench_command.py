@@ -47,7 +47,7 @@ best one, with the field it came from (--run) and with the truth (--capture)."""
 def bench_main(argv: list[str]) -> int:
     """`selfscan bench AVATAR [--run RUN] [--capture CAPTURE] -o DIR`, or `selfscan bench [AVATAR] --effects -o DIR`."""
     command = parse(BenchCommand, argv, BENCH)
-    check_folder(command.out)
+    check_folder(command.out, command.avatar, command.run, command.capture)
     if command.effects:
         return _effects(command)
     from bench.report.report import bench

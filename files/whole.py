@@ -115,13 +115,15 @@ def check_file(path: Path | str) -> None:
     _check_parent(path)
 
 
-def check_folder(path: Path | str) -> None:
-    """Refuse a place where no folder can be made or replaced; commands ask before their work begins.
+def check_folder(path: Path | str, *read: Path | None) -> None:
+    """Refuse a place where no folder can be made or replaced; commands ask before their work begins. `read`: what they
+    read, which has to stay.
 
     Raises:
         AssetError: the folder above is absent or cannot be written to; `path` is a file, a mount point, the folder that
-            this program runs in or one above it; or it holds something that was not written here.
+            this program runs in or one above it; or it holds something that was not written here, or is read.
     """
+    check_apart(path, *read)
     mode = _mode(path)
     if mode is None:
         _check_parent(path)
@@ -139,6 +141,14 @@ def check_folder(path: Path | str) -> None:
             f"{path}: expected an empty or absent folder, or one written by selfscan; {foreign}; choose another place"
         )
     _check_parent(path)
+
+
+def check_apart(path: Path | str, *read: Path | None) -> None:
+    """Refuse an output that is a folder which is read, or holds what is read: `AssetError`."""
+    target = _real(path)
+    for source in read:
+        if source is not None and target in (_real(source), *_real(source).parents):
+            raise AssetError(f"{path}: holds {source}, which is read and would be replaced; choose another place")
 
 
 def is_free(folder: Path) -> bool:

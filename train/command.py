@@ -13,6 +13,7 @@ from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.interrupt import Stopped
 from command.settings import AtLeast, AtMost, OneOf
+from files.whole import check_apart
 
 MOST_STEPS = 100_000_000
 # the presets of train/preset.py, which needs torch: a command line is read without it
@@ -100,6 +101,7 @@ examples:
 def main(argv: list[str]) -> int:
     """Parse the command line and train; 128 + the signal's number when stopped by one."""
     options = parse(TrainOptions, argv, Help("selfscan train", DESCRIPTION, EPILOG))
+    check_apart(options.out, options.capture, options.like)
     import torch
 
     from train.distributed import leave_ranks

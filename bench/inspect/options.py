@@ -39,7 +39,7 @@ def inspect_main(argv: list[str]) -> int:
         import pyvista  # noqa: F401
     except ModuleNotFoundError:
         raise missing_package("pyvista", "inspect") from None
-    check_folder(options.output)
+    check_folder(options.output, options.avatar, options.run)
     from bench.inspect.command import inspect
 
     began = time.perf_counter()

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -141,7 +142,7 @@ def _import_video(command: VideoCommand) -> list[str]:
     from capture.read.video import VideoImport, import_video
 
     reading = command.reading
-    check_folder(command.out)
+    check_folder(command.out, *command.videos)
     files, face = find_videos(command.videos), face_film(command.videos)
     beside = files["body"].parent / "keypoints"
     if reading.keypoints != "auto":
@@ -171,14 +172,14 @@ def main(argv: Sequence[str]) -> int:
         command = parse(TotalSelfScanCommand, rest, RELEASED)
         from capture.read.totalselfscan import import_totalselfscan
 
-        check_folder(command.out)
+        check_folder(command.out, command.source)
         body = read_body(command.body) if command.body else None
         notes = import_totalselfscan(command.source, command.out, body=body, most=command.frames)
     elif kind == "easymocap":
         command = parse(EasyMocapCommand, rest, OWN)
         from capture.read.easymocap import import_easymocap
 
-        check_folder(command.out)
+        check_folder(command.out, command.source, command.masks)
         notes = import_easymocap(
             command.source, command.out, body=read_body(command.body), head=command.head, landmarks=command.landmarks,
             masks=command.masks, most=command.frames,
@@ -191,5 +192,5 @@ def main(argv: Sequence[str]) -> int:
         parser.error(f"KIND: expected video, totalselfscan or easymocap, found {kind or 'nothing'}; see --help")
     for note in notes:
         print(note)
-    print(f"{command.out}: imported; `selfscan check {command.out}` says whether it can be used")
+    print(f"{command.out}: imported; `selfscan check {shlex.quote(str(command.out))}` says whether it can be used")
     return 0

@@ -104,6 +104,13 @@ def test_the_old_folder_is_whole_until_the_new_one_is_in_place(tmp_path, monkeyp
     assert (frames / "a").read_text() == "first"
 
 
+def test_a_folder_that_is_read_or_holds_what_is_read_is_not_replaced(tmp_path):
+    write_frames(tmp_path / "run", "a", "a night of work")
+    for read in (tmp_path / "run", tmp_path / "run" / "a"):
+        refused(AssetError, "is read and would be replaced", check_folder, tmp_path / "run", None, read)
+    check_folder(tmp_path / "run", tmp_path, tmp_path / "other")
+
+
 def test_marks_that_name_files_elsewhere_and_folders_above_reach_nothing(tmp_path, monkeypatch):
     place = tmp_path / "none" / "deeper"
     for check, write in ((check_file, whole_file), (check_folder, whole_folder)):

@@ -71,6 +71,8 @@ def test_usage_a_missing_package_and_absent_files_are_named(capsys, monkeypatch,
     refused(capsys, "bake", tmp_path / "run", "-o", tmp_path / "a.glb", names=("run",))
     refused(capsys, "eval", tmp_path / "run", tmp_path / "cap", names=("run",))
     refused(capsys, "bench", absent, "-o", tmp_path / "bench", names=("absent.glb",))
+    for words in ("train {0} -o {0}", "bench a.glb --run {0} -o {0}", "import totalselfscan {0} {0}"):
+        refused(capsys, *words.format(absent).split(), names=("which is read and would be replaced",))
     assert list(tmp_path.iterdir()) == []
 
 
