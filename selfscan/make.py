@@ -121,6 +121,9 @@ def film_yourself(wanted: MakeCommand) -> MakeCommand:
     from player.window.picture_window import PictureWindow
 
     folder = wanted.filmed
+    if wanted.work.exists() and not folder.exists():
+        raise AssetError(f"{wanted.work}: holds the work on films that are not in {folder}: remove it, or choose "
+                         "another -o")  # fmt: skip
     # once films were read, those that were left out stay out
     if not wanted.work.exists() and unfilmed(folder):
         with ExitStack() as held:
@@ -226,9 +229,6 @@ def make_stages(wanted: MakeCommand) -> list[Stage]:
 def main(argv: Sequence[str]) -> int:
     """Parse the command line and make the avatar."""
     wanted = parse(MakeCommand, argv, ABOUT)
-    for film in wanted.films:
-        if not film.exists():
-            raise AssetError(f"{film}: expected a film, or a folder of them, found nothing")
     check_file(wanted.out)
     if wanted.camera is not None:
         wanted = film_yourself(wanted)

@@ -106,7 +106,7 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
 
 def _person(name: str) -> SynthSubject:
     person = cut_out(load_subject(name))
-    print(f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}")
+    print("; ".join([f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces", *person.notes]))
     return person
 
 

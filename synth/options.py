@@ -1,5 +1,6 @@
 """`selfscan synth`: what it is asked for, and its command line; the work is in synth/command.py."""
 
+import shlex
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -89,5 +90,7 @@ def main(argv: Sequence[str]) -> int:
     else:
         synth(command.subject, command.out, command.config)
     videos = "five" if command.raw.raw and command.raw.face_film else "four"
-    print(f"{command.out}: {videos} videos in {time.monotonic() - began:.0f} s")
+    then = "make {} -o NAME.glb" if command.raw.raw else "train {} -o RUN"
+    print(f"{command.out}: {videos} videos in {time.monotonic() - began:.0f} s; "
+          f"then: selfscan {then.format(shlex.quote(str(command.out)))}")  # fmt: skip
     return 0

@@ -1,5 +1,6 @@
 """`selfscan check`: is this capture usable?"""
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def check_capture(arguments: CheckCommand) -> int:
     except ValueError as error:  # the landmarks determine nothing
         raise AssetError(f"{capture.path / 'head' / 'landmarks.json'}: {error}") from None
     judged = verdict(report)
-    print("\n".join(lines(report, judged)))
+    print("\n".join([*lines(report, judged), *_then(judged, "train", first, "-o", "RUN")]))
     facts = {"capture": str(capture.path), "usable": judged.usable, "verdict": judged.line(),
              "findings": [vars(finding) for finding in judged.findings], **report_facts(report)}  # fmt: skip
     _write_facts(arguments, facts)
@@ -55,10 +56,17 @@ def _check_videos(arguments: CheckCommand) -> int:
     if face is not None:
         folder = arguments.keypoints or find_videos(arguments.capture)["body"].parent / "keypoints"
         found.append(shown_line(open_face_film(face, folder, videos["body"].glance.keypoints.order)))
-    print("\n".join([*found, "", *judged.lines()]))
+    points = ["--keypoints", arguments.keypoints] if arguments.keypoints else []
+    then = _then(judged, "make", *arguments.capture, *points, "-o", "NAME.glb")
+    print("\n".join([*found, "", *judged.lines(), *then]))
     facts = {part: at.facts() for part, at in videos.items()}
     _write_facts(arguments, {"videos": facts, "usable": judged.usable, "verdict": judged.line()})
     return 0 if judged.usable else 1
+
+
+def _then(judged: Verdict, *words: str | Path) -> list[str]:
+    """The command that comes next, where there is one."""
+    return [f"then: {shlex.join(['selfscan', *map(str, words)])}"] if judged.usable else []
 
 
 def _write_facts(arguments: CheckCommand, facts: dict) -> None:

@@ -57,8 +57,11 @@ def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
     called so; or a folder that holds the body's and any of the others, or one film alone. A film of a face is left out.
 
     Raises:
-        AssetError: the body's is missing, a name says no part, or two files are one film.
+        AssetError: nothing is there, the body's is missing, a name says no part, or two files are one film.
     """
+    for path in paths:
+        if not path.exists():
+            raise AssetError(f"{path}: expected a film, or a folder of them, found nothing")
     face = face_film(paths)
     if len(paths) == 1 and paths[0].is_dir():
         films = [film for film in films_in(paths[0]) if film != face]

@@ -322,6 +322,9 @@ def test_a_webcam_films_first_and_what_was_read_is_not_filmed_again(ran, tmp_pat
     assert make.main(["--camera", "-o", str(out)]) == 0
     with pytest.raises(AssetError, match=r"no camera found; there are none; or film with a phone, put body\.mp4, head"):
         make.main(["--camera", "-o", str(tmp_path / "you.glb")])
+    (tmp_path / "her.making").mkdir()
+    with pytest.raises(AssetError, match=r"her\.making: holds the work on films that are not in .*her\.films: remove"):
+        make.main(["--camera", "-o", str(tmp_path / "her.glb")])
 
 
 # what `make --minutes 4` leaves, in order

@@ -66,7 +66,9 @@ def test_five_raw_films_become_a_capture_with_the_persons_own_gains(tmp_path, ca
     asked = ["--raw", "--keypoints", "--face-film", "--size", "240", "--seconds", "2", "--light", "even", "--no-truth"]
     assert main(["synth", "builtin", str(raw), *asked]) == 0
     assert main(["check", str(raw)]) == 0
-    assert "face.mp4   426 x 240, 30 frames/s, 4.0 s; the face in 120 frames; " in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "face.mp4   426 x 240, 30 frames/s, 4.0 s; the face in 120 frames; " in said
+    assert said.count(f"then: selfscan make {raw} -o NAME.glb\n") == 2
     assert main(["import", "video", str(raw), "--frames", "12", "--stature", "1.753", "-o", str(out)]) == 0
     own = read_own_face(out / OWN_FACE)
     truth = json.loads((raw / "truth" / "face" / "face.json").read_text())

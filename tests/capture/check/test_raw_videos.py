@@ -15,7 +15,8 @@ def test_good_videos_are_usable_as_a_folder_and_as_four_files(filmed_four, tmp_p
     assert main([str(filmed_four), "-o", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     assert "body.mp4   240 x 180, 30 frames/s, 3.0 s; empty room 0." in text
-    assert "\nusable" in text and "head.mp4: keypoints: 7 of 133 points seen" in text
+    assert "\nusable" in text and text.endswith(f"\nthen: selfscan make {filmed_four} -o NAME.glb\n")
+    assert "head.mp4: keypoints: 7 of 133 points seen" in text
     facts = json.loads((tmp_path / "out" / "check.json").read_text())
     assert facts["usable"] and facts["videos"]["body"]["frames"] == 90
     files = [filmed_four / f"{name}.mp4" for name in ("body", "head", "left", "right")]
@@ -43,8 +44,11 @@ def test_films_are_told_apart_by_name_or_order_and_none_is_given_twice(tmp_path)
         file.write_bytes(file.name.encode())
     assert find_videos(files) == find_videos([tmp_path]) == dict(zip(("body", "hand_left", "head"), files))
     assert find_videos(files[:1]) == {"body": files[0]}
-    with pytest.raises(AssetError, match=r"called body, head, left, right; found body.mp4, IMG_7.mov"):
-        find_videos([files[0], tmp_path / "IMG_7.mov"])
+    other = tmp_path / "IMG_7.mov"
+    refused(AssetError, r"IMG_7.mov: expected a film, or a folder of them, found nothing", find_videos, [other])
+    other.touch()
+    refused(AssetError, r"called body, head, left, right; found body.mp4, IMG_7.mov", find_videos, [files[0], other])
+    other.unlink()
     files[2].write_bytes(files[0].read_bytes())
     refused(AssetError, r"is the same film as .*body.mp4; leave it out", find_videos, files)
     files[0].unlink()

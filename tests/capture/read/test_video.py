@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -200,7 +199,7 @@ def test_masks_of_another_tool_are_taken_as_they_are(filmed_four, tmp_path):
 
 
 def test_the_command_wants_films_whose_names_say_the_part(filmed_four, tmp_path, capsys):
-    some = [str(filmed_four / "body.mp4"), str(filmed_four / "IMG_7.mp4")]
+    some = [str(filmed_four / "body.mp4"), str(filmed_four / "keypoints")]
     assert main(["import", "video", *some, "-o", str(tmp_path / "capture")]) == 1
     said = capsys.readouterr().err
     assert said.startswith("selfscan import: expected BODY HEAD LEFT RIGHT, or files called body, head, left, right")
@@ -209,9 +208,10 @@ def test_the_command_wants_films_whose_names_say_the_part(filmed_four, tmp_path,
 
 def test_a_film_of_a_face_is_known_by_its_name_and_is_none_of_the_four(tmp_path):
     body, head, face = (tmp_path / name for name in ("body.mp4", "head.mp4", "Face.MOV"))
-    for path in (body, head, face):
+    (tmp_path / "phone").mkdir()
+    others = [tmp_path / "phone" / f"IMG_{k}.mp4" for k in range(4)]
+    for path in (body, head, face, *others):
         path.write_text(path.name)
-    others = [Path(f"IMG_{k}.mp4") for k in range(4)]
     for paths in ((tmp_path,), (body, head, face), (face, body, head)):
         assert find_videos(paths) == {"body": body, "head": head} and face_film(paths) == face
     assert find_videos((others[0], face)) == {"body": others[0]}
