@@ -69,6 +69,12 @@ class SynthCommand:
     config: Annotated[SynthConfig, "how it is filmed"]
     raw: Annotated[RawConfig, "how a phone films it"]
 
+    def __post_init__(self):
+        if self.raw != RawConfig() and not self.raw.raw:
+            raise ValueError("--keypoints, --face-film, --held-out, --seconds and what follows it go with --raw")
+        if self.raw.raw and (self.config.frames, self.config.pose_noise, self.config.template) != (40, 0, "registered"):
+            raise ValueError("--frames, --pose-noise and --template are of a capture: leave --raw out")
+
 
 ABOUT = Help(
     "selfscan synth",
