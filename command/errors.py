@@ -18,6 +18,11 @@ class AssetError(Exception):
         super().__init__("".join(plain))
 
 
+def unicode_text(text: str) -> str:
+    """A text as windows and files take it: bytes of a file's name that are no UTF-8 are shown by their codes."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def missing_package(package: str | None, extra: str, what: str = "") -> AssetError:
     """The error for a package that an extra of this project installs; `what` needs it. selfscan is in no index."""
     named = f"{what} needs" if what else "needs"

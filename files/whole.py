@@ -53,7 +53,7 @@ def whole_file(path: Path | str, mode: str = "wb") -> Iterator[IO[Any]]:
     check_file(path)
     target = _real(path)
     with _refusing(path), _unfinished_in(target.parent, folder=False) as name:
-        with open(name, mode, encoding=None if "b" in mode else "utf-8") as file:
+        with open(name, mode, **({} if "b" in mode else {"encoding": "utf-8", "errors": "backslashreplace"})) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())

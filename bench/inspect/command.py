@@ -13,7 +13,7 @@ from bench.inspect.options import InspectCommand
 from bench.inspect.page import PageSection, page
 from command.errors import missing_package
 from command.progress import plural, progress
-from files.whole import whole_folder, write_json
+from files.whole import whole_folder, write_json, write_text
 from player.gl.context import open_context
 
 
@@ -50,6 +50,6 @@ def inspect(options: InspectCommand) -> Inspector:
             (folder / f"{picture.name}.png").write_bytes(picture.data)
         lines = [f"{path.name}, {plural(len(avatar.levels), 'level')}, view dependence: {avatar.default_view}"]
         lines += [] if run is None else [f"run: {run.name}"]
-        (folder / "inspect.html").write_text(page(avatar.name, lines, inspector.checks, inspector.sections), "utf-8")
+        write_text(folder / "inspect.html", page(avatar.name, lines, inspector.checks, inspector.sections))
         write_json(folder / "inspect.json", inspector.facts | {"checks": [vars(check) for check in inspector.checks]})
     return inspector

@@ -12,6 +12,7 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Clip
+from command.errors import unicode_text
 from files.input_file import Json, JsonObject
 from player.scene.framing import FOV, extent, facing, fitted
 from player.web.essl import programs
@@ -52,7 +53,7 @@ def page_of(package: str, scripts: Sequence[str], title: str, blobs: Mapping[str
     frame, *shared = ((files("player.web") / name).read_text("utf-8") for name in drawing)
     body, style, *more = ((files(package) / name).read_text("utf-8") for name in own)
     parts = {
-        "POLICY": POLICY, "TITLE": html.escape(title), "STYLE": style, "BLOBS": blob_elements(blobs),
+        "POLICY": POLICY, "TITLE": html.escape(unicode_text(title)), "STYLE": style, "BLOBS": blob_elements(blobs),
         "FACTS": json_element(facts), "SCRIPT": "\n".join([*shared, *more]),
     }  # fmt: skip
     return filled(frame.replace("@BODY@", body), parts)

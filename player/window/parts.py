@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from command.errors import unicode_text
 from player.window.budgeted import Budgeted, EffectPrices
 from player.window.look import Appearance
 from player.window.opening import Opening
@@ -22,7 +23,7 @@ class WindowParts:
         self.state = WindowState(
             avatars=show.avatars,
             playback=show.playback,
-            selection=AvatarSelection([Path(entry.path).stem for entry in show.scene.avatars]),
+            selection=AvatarSelection([unicode_text(Path(entry.path).stem) for entry in show.scene.avatars]),
             layout=WindowLayout(screen),
             last=LastFrame(show.playback.poses()),
             messages=messages,

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.skeleton import JOINTS
-from command.errors import AssetError
+from command.errors import AssetError, unicode_text
 from player.scene.renderer import Pose
 from player.window.playback import Playback
 from player.window.screen import Screen
@@ -49,7 +49,7 @@ class Messages:
 
     def say(self, text: str) -> None:
         print(text)
-        self.last, self._until = text, self._clock() + MESSAGE_SECONDS
+        self.last, self._until = unicode_text(text), self._clock() + MESSAGE_SECONDS
 
     @contextmanager
     def saying_errors(self) -> Iterator[None]:

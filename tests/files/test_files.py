@@ -15,7 +15,7 @@ from refusals import refused
 
 import files.whole
 from command.errors import AssetError
-from files.whole import check_file, check_folder, whole_file, whole_folder
+from files.whole import check_file, check_folder, whole_file, whole_folder, write_text
 
 ROOT = Path(__file__).parents[2]
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root may make devices and mounts")
@@ -102,6 +102,11 @@ def test_the_old_folder_is_whole_until_the_new_one_is_in_place(tmp_path, monkeyp
     refused(AssetError, "cannot be written: Input/output error", write_frames, frames, "a", "second")
     assert everything(tmp_path) == ["frames", "frames/.selfscan", "frames/a", "frames/b", "frames/c"]
     assert (frames / "a").read_text() == "first"
+
+
+def test_a_name_of_a_file_that_is_no_text_can_be_written_into_a_page(tmp_path):
+    write_text(tmp_path / "page.html", "of caf\udce9.glb")
+    assert (tmp_path / "page.html").read_text("utf-8") == "of caf\\udce9.glb"
 
 
 def test_a_folder_that_is_read_or_holds_what_is_read_is_not_replaced(tmp_path):

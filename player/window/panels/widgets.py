@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from imgui_bundle import imgui
 
+from command.errors import unicode_text
 from player.window.actions import Action
 from player.window.parts import WindowParts
 
@@ -41,7 +42,7 @@ class Widgets:
         self.tips[name] = tip
         if tip and imgui.begin_item_tooltip():
             imgui.push_text_wrap_pos(TIP_WIDTH * imgui.get_font_size())
-            imgui.text_unformatted(tip)
+            imgui.text_unformatted(unicode_text(tip))
             imgui.pop_text_wrap_pos()
             imgui.end_tooltip()
 
@@ -122,7 +123,7 @@ class Widgets:
 
     def row(self, text: str, tip: str, *, name: str, selected: bool = False) -> bool:
         """A line to choose; whether it was."""
-        chosen = imgui.selectable(f"{elided(text)}##{name}", selected)[0]
+        chosen = imgui.selectable(unicode_text(f"{elided(text)}##{name}"), selected)[0]
         self._done(name, tip)
         return chosen
 
@@ -190,6 +191,8 @@ def elided(text: str, room: float | None = None) -> str:
     """A path or name that fits the room in window units (None: what is left of the line). First the folders go, from
     the left, then the middle of the name."""
     width = imgui.get_content_region_avail().x if room is None else room
+
+    text = unicode_text(text)
 
     def fits(cut: str) -> bool:
         return imgui.calc_text_size(cut).x <= width

@@ -56,8 +56,8 @@ def test_turns_do_not_jump():
 def test_the_command(tmp_path, capsys):
     write_avatar(tmp_path / "me.glb", tiny_avatar())
     out = tmp_path / "me.html"
-    assert main(["web", str(tmp_path / "me.glb"), "--frames", "0:3", "-o", str(out)]) == 0
-    assert "MB, 3 frames; geometry" in capsys.readouterr().out
+    assert main(["web", str(tmp_path / "me.glb"), "--frames", "0:3", "--title", "caf\udce9", "-o", str(out)]) == 0
+    assert "MB, 3 frames; geometry" in capsys.readouterr().out and "<title>caf\\udce9" in out.read_text("utf-8")
     text = out.read_text("utf-8")
     assert text.count('id="level') >= 3 and 'id="level1.mesh"' in text and "://" not in text
     assert main(["web", str(tmp_path / "me.glb"), "--levels", "1", "-o", str(out)]) == 0
