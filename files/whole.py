@@ -45,15 +45,15 @@ def whole_file(path: Path | str, mode: str = "wb") -> Iterator[IO[Any]]:
 
     The bytes go to a hidden file in the same folder, are flushed to the disk, and replace `path` in one step, so that a
     reader sees the old file or the new one and never a part of either. A link is followed; the mode of an old file is
-    kept.
+    kept. What is no UTF-8, as names of files may be, is written by its codes.
 
     Raises:
         AssetError: the file cannot be written (`check_file`), or the disk is full.
     """
     check_file(path)
-    target = _real(path)
+    target, errors = _real(path), None if "b" in mode else "backslashreplace"
     with _refusing(path), _unfinished_in(target.parent, folder=False) as name:
-        with open(name, mode, **({} if "b" in mode else {"encoding": "utf-8", "errors": "backslashreplace"})) as file:
+        with open(name, mode, encoding=errors and "utf-8", errors=errors) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())

@@ -122,8 +122,7 @@ def film_yourself(wanted: MakeCommand) -> MakeCommand:
 
     folder = wanted.filmed
     if wanted.work.exists() and not folder.exists():
-        raise AssetError(f"{wanted.work}: holds the work on films that are not in {folder}: remove it, or choose "
-                         "another -o")  # fmt: skip
+        raise AssetError(f"{wanted.work}: holds the work on other films than {folder}: remove it, or choose another -o")
     # once films were read, those that were left out stay out
     if not wanted.work.exists() and unfilmed(folder):
         with ExitStack() as held:

@@ -96,7 +96,7 @@ def main(argv: Sequence[str]) -> int:
     else:
         synth(command.subject, command.out, command.config)
     videos = "five" if command.raw.raw and command.raw.face_film else "four"
-    then = "make {} -o NAME.glb" if command.raw.raw else "train {} -o RUN"
-    print(f"{command.out}: {videos} videos in {time.monotonic() - began:.0f} s; "
-          f"then: selfscan {then.format(shlex.quote(str(command.out)))}")  # fmt: skip
+    print(f"{command.out}: {videos} videos in {time.monotonic() - began:.0f} s")
+    verb, product = ("make", "NAME.glb") if command.raw.raw else ("train", "RUN")
+    print(f"then: {shlex.join(['selfscan', verb, str(command.out), '-o', product])}")
     return 0

@@ -325,7 +325,7 @@ def test_a_webcam_films_first_and_what_was_read_is_not_filmed_again(ran, tmp_pat
     with pytest.raises(AssetError, match=r"no camera found; there are none; or film with a phone, put body\.mp4, head"):
         make.main(["--camera", "-o", str(tmp_path / "you.glb")])
     (tmp_path / "her.making").mkdir()
-    with pytest.raises(AssetError, match=r"her\.making: holds the work on films that are not in .*her\.films: remove"):
+    with pytest.raises(AssetError, match=r"her\.making: holds the work on other films than .*her\.films: remove"):
         make.main(["--camera", "-o", str(tmp_path / "her.glb")])
 
 
