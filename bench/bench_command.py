@@ -53,9 +53,10 @@ def bench_main(argv: list[str]) -> int:
     from bench.report.report import bench
 
     result = bench(command)
+    wide = max(len(row["name"]) for row in result["rungs"])
     for row in result["rungs"]:
         flip = "the best" if row["name"] == result["best_rung"] else f"FLIP {row['flip']:.4f}"
-        print(f"{row['name']:36}{row['ms_median']:10.2f} ms{flip:>14}" + ("  dominated" if row["dominated"] else ""))
+        print(f"{row['name']:{wide}}{row['ms_median']:10.2f} ms{flip:>14}" + ("  dominated" if row["dominated"] else ""))
     if result["warning"]:
         print(result["warning"])
     print(f"wrote {command.out}/bench.html, to open in a browser, and bench.md")

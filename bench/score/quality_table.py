@@ -64,8 +64,8 @@ def cells(scores: Json, metrics: Sequence[Metric] = METRICS) -> list[str]:
 
 def print_table(result: Json) -> None:
     rows = [["", *(metric.title for metric in METRICS)], *table_rows(result)]
-    wide = max(len(row[0]) for row in rows)
-    for row in rows:
-        print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]))
+    wide, *widths = (max(map(len, column)) for column in zip(*rows))
+    for first, *rest in rows:
+        print(f"{first:{wide}}" + "".join(f"{cell:>{width + 2}}" for cell, width in zip(rest, widths)))
     print(f"input: {result.get('input', 'given')}")
     print("\n".join(DECIBELS))

@@ -100,7 +100,10 @@ def test_the_command_prints_a_table_and_writes_json(oracle, tmp_path, capsys, re
     monkeypatch.setattr("bench.score.quality.evaluate", lambda *_, **__: result)
     assert eval_main([str(avatar), str(capture), "--json", str(tmp_path / "q.json")]) == 0
     printed = capsys.readouterr().out
-    assert "input: given" in printed and "novel pose: total" in printed
+    assert "input: given" in printed
+    head, total = (next(line for line in printed.splitlines() if key in line) for key in ("FLIP", "novel pose: total"))
+    # numbers end where their headings do
+    assert total[: head.index("FLIP") + 4].endswith(f" {result['novel_pose']['total']['flip']:.3f}")
     assert json.loads((tmp_path / "q.json").read_text())["novel_pose"]["total"] == result["novel_pose"]["total"]
 
 
