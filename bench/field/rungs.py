@@ -9,7 +9,6 @@ training. Pixels that miss the posed surface are left black: outside of it, trai
 import time
 from collections.abc import Sequence
 from itertools import chain
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -25,7 +24,7 @@ from player.draw.drawing import BarePose
 from player.draw.raster import Rasteriser
 from player.gl.context import Context
 from train.render import crossing, section_weights
-from train.run import read_run
+from train.run import Run
 
 # sections of a ray, 0 for its first surface crossing; the last rung is what all others are compared with
 FIELD_RUNGS = {"field, surface": 0, "field, volume of 64": 64}
@@ -39,13 +38,8 @@ LEAST = 2e-3
 CHUNK = 8192
 
 
-def field_rungs(context: Context, path: Path, frames: Sequence[ComparedFrame], baked_ms: float) -> list[MeasuredRung]:
-    """The field of the run folder `path`, drawn in each way, the slowest first; `baked_ms`: what the player takes.
-
-    Raises:
-        AssetError: not a run folder, or a file in it is unusable.
-    """
-    run = read_run(path)
+def field_rungs(run: Run, context: Context, frames: Sequence[ComparedFrame], baked_ms: float) -> list[MeasuredRung]:
+    """The field of a run, drawn in each way, the slowest first; `baked_ms`: what the player takes."""
     field, beta = PosedField(run), run.preset.parts[0].beta[1]
     size = sum(tensor.nbytes for tensor in chain(run.field.parameters(), run.field.buffers()))
     raster, rungs = Rasteriser(context), []

@@ -32,7 +32,13 @@ Pictures = list[Float[Array, "height width 3"]]
 def bench(command: BenchCommand) -> Json:
     """Measure the ladder, write bench.html, bench.json, bench.md and pareto.png into its folder."""
     assert command.avatar is not None
-    avatar, capture, run, rounds = read_avatar(command.avatar), command.capture, command.run, command.rounds
+    avatar, capture, field, rounds = read_avatar(command.avatar), command.capture, None, command.rounds
+    if command.run is not None:
+        from bench.field.rungs import field_rungs  # they bring torch
+        from train.run import read_run
+
+        # before minutes of timing: it may be no run
+        field = partial(field_rungs, read_run(command.run))
     count, size = command.frames, command.size or SIZE
     frames = held_out_frames(capture, count) if capture is not None else motion_frames(avatar, count, size)
     with open_context() as context:
@@ -44,10 +50,8 @@ def bench(command: BenchCommand) -> Json:
             MeasuredRung(timed_row(rung, timing, timings[0]), timing.ms, rung_pictures(context, avatar, rung, frames))
             for rung, timing in zip(rungs, timings, strict=True)
         ]
-        if run is not None:
-            from bench.field.rungs import field_rungs  # it brings torch
-
-            measured = [*field_rungs(context, run, frames, measured[0].row["ms_median"]), *measured]
+        if field is not None:
+            measured = [*field(context, frames, measured[0].row["ms_median"]), *measured]
         truths = [f.truth.image() for f in frames if f.truth is not None]
 
     rows, pictures = [one.row for one in measured], {one.row["name"]: one.pictures for one in measured}

@@ -106,13 +106,15 @@ def prepared(
     """The truth, held-out views and, of an estimated skeleton, their fitted poses; at most `poses` of each set."""
     held_out = {name: some_poses(read_held_out(capture, name), poses) for name in SETS}
     run = drawer.path if drawer.field is not None else run
+    # all of a run is read before minutes of fitting: it may be none
+    run_facts = {} if run is None else read_json_object(run / "run.json", "the facts of a run")
+    videos = filmed_poses(run, run_facts, capture, poses)
     template, ours = template_of_run(drawer, run, kind), None
     if kind != "given":
         assert template is not None
         print_stage(f"{kind}: poses fitted to {sum(map(len, held_out.values()))} held-out pictures")
         ours = fitted_views(template, held_out, TrainedOutline(drawer.surface, drawer.raster))
-    run_facts = {} if run is None else read_json_object(run / "run.json", "the facts of a run")
-    return Evaluated(drawer, truth, held_out, ours, template, filmed_poses(run, run_facts, capture, poses))
+    return Evaluated(drawer, truth, held_out, ours, template, videos)
 
 
 def seen_case(drawer: Drawer, truth: TrueMesh, surface: PosableSurface) -> GeometryCase:

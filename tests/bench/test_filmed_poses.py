@@ -279,13 +279,17 @@ def test_the_template_stands_beside_as_it_was_before_training(scored):
     assert 0.5 < scored["beside"]["fitted"]["total"] < 10
 
 
-def test_the_kind_of_input_is_found_and_said(oracle, tmp_path):
+def test_the_kind_of_input_is_found_and_said(oracle, tmp_path, monkeypatch):
     capture, path, _ = oracle
     avatar = read_avatar(path)
     said = replace(avatar, provenance={**avatar.provenance, "capture": {"input": "from_pixels"}})
     write_avatar(tmp_path / "me.glb", said)
     with pytest.raises(AssetError, match=r"me\.glb: its skeleton was estimated \(from pixels\).*--run RUN"):
         evaluate(tmp_path / "me.glb", capture)
+    # a capture is no run, and is refused before poses are fitted
+    monkeypatch.setattr("bench.score.quality.fitted_views", None)
+    with pytest.raises(AssetError, match=r"run\.json: no such file"):
+        evaluate(tmp_path / "me.glb", capture, run=capture)
     assert input_kind({}) == input_kind({"input": "given"}) == "given"
     assert input_kind({"source": "easymocap"}) == "from pixels" and input_kind({"input": "shape_only"}) == "shape only"
     with pytest.raises(AssetError, match="input should be one of given, shape only, from pixels, is 'guessed'"):

@@ -61,12 +61,11 @@ def test_volume_rendering_shows_the_surface_and_converges(rasteriser):
     assert errors[0] > errors[1] > errors[2] and errors[2] < 1e-5
 
 
-def test_the_rungs_of_a_run_are_its_surface_and_its_volume(context, monkeypatch):
+def test_the_rungs_of_a_run_are_its_surface_and_its_volume(context):
     run = run_of(NearField)
-    monkeypatch.setattr("bench.field.rungs.read_run", lambda path: run)
     pose = np.zeros((52, 3)), np.zeros(3)
     camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, (48, 48))
-    volume, surface = field_rungs(context, run.path, [ComparedFrame(pose, camera, None)], 1.0)
+    volume, surface = field_rungs(run, context, [ComparedFrame(pose, camera, None)], 1.0)
     assert (surface.row["name"], volume.row["name"]) == ("field, surface", "field, volume of 64")
     for rung in (surface, volume):
         assert rung.row["times_faster"] == pytest.approx(1 / rung.row["ms_median"], rel=1e-2, abs=2e-5)

@@ -4,12 +4,14 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from bench.bench_command import bench_main
 from bench.ladder.rung_pictures import motion_frames
 from bench.ladder.rung_scores import mark_dominated, median_interval, part_boxes
 from bench.report.rung_page import frontier_of, label_heights, points_of, trade_sentence
 from bench.report.sheet import LARGEST, WIDTH, fitting_font, save_sheet, sheet
+from command.errors import AssetError
 from player.budget.ladder import rungs_of
 from player.budget.rung import shown, with_halved_textures
 from player.scene.mannequin import mannequin
@@ -39,6 +41,12 @@ def test_bench_writes_json_table_plot_and_pictures(oracle, tmp_path, capsys):
     assert {path.name for path in out.iterdir()} >= {"bench.html", "bench.json", "bench.md", "pareto.png"}
     printed = [line for line in capsys.readouterr().out.splitlines() if " ms " in line]
     assert len(printed) == len(result["rungs"]) and len({line.index(" ms ") for line in printed}) == 1
+
+
+def test_a_run_that_is_none_is_refused_before_anything_is_timed(tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.report.report.time_rungs", None)
+    with pytest.raises(AssetError, match=r"run\.json: no such file"):
+        bench_main(["builtin", "--run", str(tmp_path), "-o", str(tmp_path / "out")])
 
 
 def test_the_interval_of_a_median_holds_it_19_times_of_20():
