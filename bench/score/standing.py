@@ -10,7 +10,7 @@ aligned (where the face sits in it: a centimetre of hair moves that by as much).
 import numpy as np
 from jaxtyping import Float
 
-from avatar.camera import Camera, orbit_camera
+from avatar.camera import orbit_camera
 from avatar.similarity import similarity_from_landmarks
 from bench.score.picture_scores import REGION_PART
 from bench.score.posed_geometry import GeometryCase, PosedPair, alignment
@@ -30,7 +30,8 @@ def outline_scores(
     raster: Rasteriser, case: GeometryCase, pair: PosedPair, truth_from_surface: Float[np.ndarray, "4 4"] | None = None
 ) -> dict[str, dict[str, float]]:
     """Intersection over union of the true outline and ours, [0, 1], mean and worst: of the whole person and, within
-    pictures that their true surface fills, of head and hands; hands are as good as the two are on average."""
+    the ball that their true surface fills, of head and hands (a trunk behind it would do for any hand); hands are as
+    good as the two are on average."""
     ours = pair.surface
     if truth_from_surface is not None:
         ours = ours @ truth_from_surface[:3, :3].T + truth_from_surface[:3, 3]
@@ -42,10 +43,17 @@ def outline_scores(
             continue
         # the whole of both is in the picture
         framed = np.concatenate([pair.truth, ours]) if region == "total" else pair.truth[own].reshape(-1, 3)
+        middle = 0.5 * (framed.min(0) + framed.max(0))
+        radius = 1.1 * float(np.linalg.norm(framed - middle, axis=1).max())
+        meshes = [
+            (points, whole[(np.linalg.norm(points - middle, axis=1) < radius)[whole].any(1)])
+            for points, whole in ((pair.truth, faces), (ours, case.faces))
+        ]
         ratios = []
         for side in range(SIDES):
-            camera = framing(framed, 2 * np.pi * side / SIDES)
-            true, drawn = (raster.draw(*mesh, camera).face >= 0 for mesh in ((pair.truth, faces), (ours, case.faces)))
+            # at the height of the middle; the ball fills the picture
+            camera = orbit_camera(middle, radius / np.tan(FOV / 2), 2 * np.pi * side / SIDES, 0.0, SIZE, FOV)
+            true, drawn = (raster.draw(*mesh, camera).face >= 0 for mesh in meshes)
             ratios.append((true & drawn).sum() / max((true | drawn).sum(), 1))
         scores[region] = {"outline_iou": float(np.mean(ratios)), "outline_worst": float(np.min(ratios))}
     if {"left_hand", "right_hand"} <= scores.keys():
@@ -53,13 +61,6 @@ def outline_scores(
         worst = min(left["outline_worst"], right["outline_worst"])
         scores["hands"] = {"outline_iou": 0.5 * (left["outline_iou"] + right["outline_iou"]), "outline_worst": worst}
     return scores
-
-
-def framing(points: Float[np.ndarray, "n 3"], azimuth: float) -> Camera:
-    """A camera at the height of the points' middle whose picture they fill, a tenth wider at each side."""
-    middle = 0.5 * (points.min(0) + points.max(0))
-    radius = float(np.linalg.norm(points - middle, axis=1).max())
-    return orbit_camera(middle, 1.1 * radius / np.tan(FOV / 2), azimuth, 0.0, SIZE, FOV)
 
 
 def face_landmarks_mm(template: CaptureSubject | None, case: GeometryCase, pair: PosedPair) -> dict[str, float]:

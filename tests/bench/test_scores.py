@@ -68,6 +68,16 @@ def test_balls_within_and_beside_each_other_cover_what_their_circles_share(raste
     assert scores(rasteriser, RADIUS, shift=RADIUS, T=back)["total"]["outline_worst"] > 0.99
 
 
+def test_a_trunk_behind_a_missing_head_is_no_outline_of_it(rasteriser):
+    (ball, faces), (trunk, more) = icosphere(RADIUS, subdivisions=3), icosphere(0.5, (0, 0, -1), 3)
+    truth = head(np.concatenate([ball, trunk]), np.concatenate([faces, more + len(ball)]))
+    truth.part[len(ball) :] = PARTS.index("body")
+    surface = PosableSurface(trunk, more, SkinWeights(*(a[len(ball) :] for a in truth.skin)), *np.zeros((2, 52, 3)))
+    case = geometry_case(truth, surface, np.ones(len(more), bool))
+    found = outline_scores(rasteriser, case, posed_pair(case, truth.vertices, trunk))
+    assert found["head"]["outline_iou"] == 0 < found["total"]["outline_worst"]
+
+
 def test_features_of_the_face_are_as_far_off_as_they_are_true_elsewhere():
     body, subject = builtin_body("male"), free_subject("male")
     points = body_points()
