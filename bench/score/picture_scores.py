@@ -109,7 +109,8 @@ def score_images(
         box = box_pixels(view.camera, points.min(0) - BOX_MARGIN, points.max(0) + BOX_MARGIN)
         mask, around = region_of(view, region)
         looked_at = np.zeros_like(around)
-        where = rectangle(box)
+        # the whole outline of the person counts, the box's rectangle of a part
+        where = (slice(None), slice(None)) if region == "total" else rectangle(box)
         if where is not None:
             looked_at[where] = around[where]
         drawn = draw(own.axis_angle, own.root, view.camera, SAMPLES, looked_at)

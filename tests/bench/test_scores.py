@@ -15,7 +15,7 @@ from avatar.camera import Camera, look_at, orbit_camera, pinhole
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS
 from avatar.skinning import SkinWeights
-from bench.field.posed_field import PosableSurface
+from bench.field.posed_field import MaskedPicture, PosableSurface
 from bench.score.lpips import CONVOLUTIONS, read_perceptual
 from bench.score.metrics import flip
 from bench.score.picture_scores import PictureJudge, eye_region, score_images
@@ -196,7 +196,10 @@ def test_the_region_is_what_shows_of_the_eye_and_three_millimetres_round_it(rast
 
 
 class Painted(HeldOutView):
-    """A head's close-up that is grey all over."""
+    """A picture that is grey all over."""
+
+    def mask(self):
+        return np.pad(np.ones((8, 8), bool), SIZE // 2 - 4)
 
     def image(self):
         return np.full((SIZE, SIZE, 3), 0.5, np.float32)
@@ -215,8 +218,6 @@ def test_a_wrong_eye_costs_the_eyes_what_it_costs_and_the_head_little(rasteriser
     assert region.any()
 
     def draw(axis_angle, root, camera, samples, where):
-        from bench.field.posed_field import MaskedPicture
-
         color = np.full((SIZE, SIZE, 3), 0.5, np.float32)
         color[region] += 0.1
         return MaskedPicture(color, np.ones((SIZE, SIZE), bool))
@@ -226,6 +227,14 @@ def test_a_wrong_eye_costs_the_eyes_what_it_costs_and_the_head_little(rasteriser
     head = scores["head"].scores()["psnr_db"].value
     assert head is not None and head > 25
     assert "eyes" not in score_images(PictureJudge(mesh, draw), [view], "test")
+
+
+def test_what_stands_far_off_the_person_counts_to_its_outline(tmp_path):
+    view = Painted(tmp_path, "000000_body", "body", 0, np.zeros((52, 3)), np.zeros(3), CAMERA)
+    # a field, which fills all that it is asked for
+    draw = lambda pose, root, camera, samples, where: MaskedPicture(np.zeros((SIZE, SIZE, 3), np.float32), where)
+    scores = score_images(PictureJudge(truth(EYE, eye=None), draw), [view], "test")["total"].scores()
+    assert scores["outline_iou"].value == pytest.approx(8**2 / SIZE**2)
 
 
 def plate(hair_columns: int) -> TrueMesh:
