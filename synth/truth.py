@@ -84,7 +84,7 @@ def novel_poses(seed: int) -> list[BarePose]:
 
 
 def novel_views(seed: int) -> list[BarePose]:
-    """The T-pose, ten times, at headings half-way between the filmed ones."""
+    """The T-pose, ten times, at seeded headings all round."""
     rng = np.random.default_rng([seed, 22])
     headings = (np.arange(10) + rng.uniform(0.1, 0.9, 10)) * 36
     poses = np.zeros((len(headings), len(JOINTS), 3))

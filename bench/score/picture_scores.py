@@ -33,7 +33,7 @@ REGIONS = {"total": "body", "head": "head", "left_hand": "hand_left", "right_han
 VIEW_REGION = {view: region for region, view in REGIONS.items()}
 REGION_PART = {region: PARTS.index(view) for region, view in REGIONS.items() if region != "total"}
 BOX_MARGIN = 0.02  # metres round the posed true region
-# squared rays a pixel of ours; the truth is smoothed as well, by 3 x 3
+# squared rays a pixel of ours, as of the true pictures (synth/command.py)
 SAMPLES = 2
 DILATION = 5  # pixels of the true part mask
 # a frame whose joints all turn less is a T-pose frame
@@ -110,9 +110,8 @@ def score_images(
         mask, around = region_of(view, region)
         looked_at = np.zeros_like(around)
         # the whole outline of the person counts, the box's rectangle of a part
-        where = (slice(None), slice(None)) if region == "total" else rectangle(box)
-        if where is not None:
-            looked_at[where] = around[where]
+        where = np.s_[:, :] if region == "total" else rectangle(box) or np.s_[:0, :0]
+        looked_at[where] = around[where]
         drawn = draw(own.axis_angle, own.root, view.camera, SAMPLES, looked_at)
         image = drawn.color * around[..., None]
         truth = view.image() * around[..., None]

@@ -30,8 +30,8 @@ def outline_scores(
     raster: Rasteriser, case: GeometryCase, pair: PosedPair, truth_from_surface: Float[np.ndarray, "4 4"] | None = None
 ) -> dict[str, dict[str, float]]:
     """Intersection over union of the true outline and ours, [0, 1], mean and worst: of the whole person and, within
-    the ball that their true surface fills, of head and hands (a trunk behind it would do for any hand); hands are as
-    good as the two are on average."""
+    the ball that their true surface fills, of head and hands (a trunk behind it would do for any hand); of both hands
+    the mean, and the worst."""
     ours = pair.surface
     if truth_from_surface is not None:
         ours = ours @ truth_from_surface[:3, :3].T + truth_from_surface[:3, 3]
@@ -45,10 +45,8 @@ def outline_scores(
         framed = np.concatenate([pair.truth, ours]) if region == "total" else pair.truth[own].reshape(-1, 3)
         middle = 0.5 * (framed.min(0) + framed.max(0))
         radius = 1.1 * float(np.linalg.norm(framed - middle, axis=1).max())
-        meshes = [
-            (points, whole[(np.linalg.norm(points - middle, axis=1) < radius)[whole].any(1)])
-            for points, whole in ((pair.truth, faces), (ours, case.faces))
-        ]
+        meshes = [(points, whole[(np.linalg.norm(points - middle, axis=1) < radius)[whole].any(1)])
+                  for points, whole in ((pair.truth, faces), (ours, case.faces))]  # fmt: skip
         ratios = []
         for side in range(SIDES):
             # at the height of the middle; the ball fills the picture
