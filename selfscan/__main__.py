@@ -102,6 +102,8 @@ def _explained(error: Exception, argv: list[str], debug: bool) -> str:
     """One line on what went wrong: with the input, with the machine, or, in all other cases, with us."""
     if isinstance(error, AssetError):
         return str(error)
+    if isinstance(error, FileNotFoundError) and error.filename is None:
+        return "the folder that this terminal is in was deleted; change to one that is there"
     if isinstance(error, OSError):
         return f"{f'{error.filename}: ' if error.filename else ''}{error.strerror or error}"
     if isinstance(error, MemoryError):

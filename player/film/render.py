@@ -44,7 +44,10 @@ def render(command: RenderCommand) -> None:
     Raises:
         AssetError: a file cannot be read or written, or no OpenGL context can be had.
     """
-    (check_file if film_kind(command.output) else check_folder)(command.output)
+    if film_kind(command.output):
+        check_file(command.output)
+    else:
+        check_folder(command.output, Path(command.camera) if command.camera else None)
     if command.json:
         check_file(command.json)
     scene = scene_of(command)

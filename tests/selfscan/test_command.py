@@ -445,6 +445,8 @@ def test_the_disk_and_the_memory_are_one_line(monkeypatch, capsys):
     for error, line in (
         (OSError(28, "No space left on device"), "selfscan render: No space left on device\n"),
         (PermissionError(13, "Permission denied", "a.glb"), "selfscan render: a.glb: Permission denied\n"),
+        (FileNotFoundError(2, "No such file or directory"), "selfscan render: the folder that this terminal is in was "
+         "deleted; change to one that is there\n"),
         (MemoryError("Unable to allocate 9 GiB"), "selfscan render: not enough memory Unable to allocate 9 GiB\n"),
     ):
         monkeypatch.setattr(entry, "_dispatch", lambda _name, _rest, error=error: (_ for _ in ()).throw(error))
