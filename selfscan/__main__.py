@@ -87,7 +87,9 @@ def _run(argv: list[str]) -> int:
         # what it was raised into made another error of it
         if stop.number is not None and not isinstance(error, AssetError):
             return _stopped(name, stop.number)
-        print(f"selfscan {name}: {_explained(error, argv, debug)}", file=sys.stderr)
+        # a bar that was on its way has left the cursor behind it
+        clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+        print(f"{clear}selfscan {name}: {_explained(error, argv, debug)}", file=sys.stderr)
         if debug:
             traceback.print_exc()
         return 1

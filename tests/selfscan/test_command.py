@@ -452,6 +452,9 @@ def test_the_disk_and_the_memory_are_one_line(monkeypatch, capsys):
         monkeypatch.setattr(entry, "_dispatch", lambda _name, _rest, error=error: (_ for _ in ()).throw(error))
         assert main(["render"]) == 1
         assert capsys.readouterr().err == line
+    # on a terminal it takes the place of a bar
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert main(["render"]) == 1 and capsys.readouterr().err == "\r\x1b[K" + line
 
 
 def test_an_error_of_ours_asks_for_a_report_and_says_where_it_is(monkeypatch, capsys, tmp_path):
