@@ -52,7 +52,7 @@ SLOWEST, FASTEST = 10.0, 480.0
 ASSUMED_RATE = 30.0
 # degrees by which the bind pose must beat the default nodes
 BIND_CLOSER = 5.0
-MOST_TARGETS = 1000  # of a mesh
+MOST_TARGETS = 1000  # a mesh has at most
 # instead of a joint's number in a rig: the mesh of the face, and the eyes
 FACE, EYES = -1, (-2, -3)
 

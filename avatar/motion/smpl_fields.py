@@ -50,7 +50,7 @@ ROOT = ("global_orient", "root_orient", "poses_root")
 BODY = ("body_pose", "pose_body", "poses_body")
 LEFT, RIGHT = ("left_hand_pose", "lhand_pose"), ("right_hand_pose", "rhand_pose")
 BOTH = ("pose_hand", "hand_pose", "poses_hand")
-# of SMPL-X alone
+# SMPL-X alone has these
 JAW = ("jaw_pose", "pose_jaw", "poses_jaw")
 PLACE = ("trans", "transl", "pose_est_trans")
 SHAPE = ("betas", "shape_est_betas", "beta")
