@@ -155,7 +155,7 @@ class Rings(NamedTuple):
         self, surface: TexelSurface, color: Float[Array, "texels 3"], given: Integer[Array, "given"],
         asked: Integer[Array, "asked"], otherwise: Float[Array, "asked 3"],
     ) -> Float[Array, "asked 3"]:  # fmt: skip
-        """Colors round the limb for texels that are asked; `otherwise` where little of it was seen, or a layer of cloth."""
+        """Colors round the limb for texels that are asked; `otherwise` where little of it was seen, or cloth."""
         ring, turn, reach = self.cells(surface.points[given])
         cell = np.round(ring).astype(int) * TURN + np.round(turn).astype(int) % TURN
         sums = [np.bincount(cell, weight, self.count * TURN) for weight in (None, *color[given].T, reach)]
