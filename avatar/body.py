@@ -1,7 +1,6 @@
 """Body models: the built-in free body, and a user's own SMPL+H model file."""
 
 from dataclasses import dataclass, replace
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from avatar.constant import constant
 from avatar.skeleton import JOINTS, PARENTS
 from avatar.skinning import SkinWeights, strongest_four
 from command.errors import AssetError
@@ -49,7 +49,7 @@ class Body:
     hands: HandSpace | None = None
 
 
-@cache
+@constant
 def builtin_body(sex: str) -> Body:
     """The free body that ships with the project; `sex` is "male" or "female". Provenance: THIRD_PARTY.md."""
     if sex not in ("male", "female"):

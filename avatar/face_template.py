@@ -5,7 +5,6 @@ THIRD_PARTY.md; made by experiments/derive_face.py.
 """
 
 from dataclasses import dataclass
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 from numpy import ndarray as Array
 
+from avatar.constant import constant
 from avatar.face import SHAPES
 from command.errors import AssetError
 from files.npz import read_npz
@@ -48,7 +48,7 @@ class FaceTemplate:
     lids: tuple[tuple[Int[Array, "a"], Int[Array, "b"]], tuple[Int[Array, "c"], Int[Array, "d"]]]
 
 
-@cache
+@constant
 def builtin_face() -> FaceTemplate:
     """The face that ships with the project."""
     return read_face(Path(str(files("avatar") / "data" / "body" / "face.npz")))

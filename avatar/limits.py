@@ -26,7 +26,6 @@ equal angles are equal movements. Degrees are those of healthy adults; AAOS's an
 Anatomy's zero is the standing position; where it is not pose 0 the row says so.
 """
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +33,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from avatar.body import builtin_body
+from avatar.constant import constant
 from avatar.motion.fingers import FINGERS, MIRROR, finger_axes
 from avatar.rotation import (
     axis_angle_from_quaternion,
@@ -122,7 +122,7 @@ class Limits(NamedTuple):
     high: Float[Array, "52 3"]
 
 
-@cache
+@constant
 def limits() -> Limits:
     """The table above for every joint, worked out once."""
     names, axes, ranges = [], [], []

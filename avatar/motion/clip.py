@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from avatar.body import Body, builtin_body
+from avatar.constant import constant
 from avatar.face import FaceFrame
 from avatar.rotation import between
 from command.errors import AssetError
@@ -132,7 +132,7 @@ def rest_skeleton(body: Body) -> RestSkeleton:
     return RestSkeleton(body.joints, float(-body.vertices[:, 1].min()))
 
 
-@cache
+@constant
 def builtin_skeleton() -> RestSkeleton:
     """The built-in man's."""
     return rest_skeleton(builtin_body("male"))

@@ -5,13 +5,13 @@ axis-angle vector (x, y, z) becomes (x, -y, -z). In pose 0 the left arm points a
 thumb forward, hence finger flexion turns +x towards the palm (-y): about -z.
 """
 
-from functools import cache
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from avatar.body import builtin_body
+from avatar.constant import constant
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, unit_or_zero
 from avatar.skeleton import FINGERS, JOINTS
 
@@ -23,7 +23,7 @@ MIRROR = np.array([1.0, -1, -1])
 HAND_RELAXED = np.array([0.24, 0.29, 0.36, 0.33, 0.18, -0.06])
 
 
-@cache
+@constant
 def finger_axes() -> tuple[Array, Array]:
     """Flexion axis of each left finger joint (5, 3, 3) and the palm's normal, from the built-in hand."""
     at = dict(zip(JOINTS, builtin_body("male").joints, strict=True))

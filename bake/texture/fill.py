@@ -16,7 +16,8 @@ face its way are of, and is of one: the one whose color there lies nearest to wh
 these places it has the sooner. What the field made of it stays as far as it lies within NEAR of that color: a grey
 between two colors of a print is no color of the cloth. So skin beside skin becomes skin, and stripes stay stripes. In
 the end one material goes over into another, and into what was seen, within some millimetres: places vote cell by cell,
-and a hairline would be a saw.
+and a hairline would be a saw. The rim of hair that ends on seen skin shows the mean of what was seen round it, of
+either.
 """
 
 from itertools import product
@@ -56,6 +57,8 @@ NEAR = 6 / 255
 # metres over which one material goes over into another, the texels that this is asked of, and how much more than others
 # those count that were seen
 BLEND, BLENDED, SEEN = 0.003, 32, 4.0
+# metres from seen skin within which hair ends on it
+TOUCHING = 0.004
 # stiffness of an edge against all the seen surface round a vertex
 STIFF = 0.05
 
@@ -85,7 +88,23 @@ def filled_colors(
     result = np.empty((len(unseen), 3), color.dtype)
     result[of_limb] = round_limbs(surface, color, seen, unseen[of_limb])
     result[~of_limb] = by_material(surface, color, seen, unseen[~of_limb])
+    rims = rims_of_hair(surface, seen, unseen)
+    result[rims] = beside(surface, color, np.flatnonzero(seen), unseen[rims])
     return result
+
+
+def rims_of_hair(
+    surface: TexelSurface, seen: Bool[Array, "texels"], unseen: Integer[Array, "unseen"]
+) -> Bool[Array, "unseen"]:
+    """Which unseen texels are of hair that ends on the seen skin: its edge is a saw of triangles, and shows if it has
+    another color than what is painted there."""
+    body = largest_piece(surface)
+    on, rims = seen & (surface.piece == body), surface.piece[unseen] != body
+    if not on.any() or not rims.any():
+        return np.zeros(len(unseen), bool)
+    tree = KDTree(surface.points[on])
+    rims[rims] = tree.query(surface.points[unseen[rims]], distance_upper_bound=TOUCHING)[0] < TOUCHING
+    return rims
 
 
 def round_limbs(
@@ -187,8 +206,17 @@ class Rings(NamedTuple):
 def seen_places(surface: TexelSurface, seen: Bool[Array, "texels"], piece: int) -> Integer[Array, "places"]:
     """Seen texels of a piece, one in each CELL; of all pieces where none was seen of it."""
     own = seen & (surface.piece == piece)
-    given = np.flatnonzero(own if own.any() else seen)
-    return given[np.unique(cells(surface, given), return_index=True)[1]]
+    return one_of_each_cell(surface, np.flatnonzero(own if own.any() else seen))
+
+
+def one_of_each_cell(surface: TexelSurface, rows: Integer[Array, "rows"]) -> Integer[Array, "places"]:
+    """One texel of all that lie in a cell and face the same way."""
+    return rows[np.unique(cells(surface, rows), return_index=True)[1]]
+
+
+def largest_piece(surface: TexelSurface) -> int:
+    """The piece of most texels: the body, whose hair hangs."""
+    return int(np.bincount(surface.piece).argmax())
 
 
 def cells(surface: TexelSurface, rows: Integer[Array, "rows"]) -> Integer[Array, "rows"]:

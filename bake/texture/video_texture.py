@@ -10,10 +10,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer
+from jaxtyping import Float, Integer
 from numpy import ndarray as Array
 from scipy.sparse import csr_matrix
-from scipy.spatial import KDTree
 
 from avatar.camera import Camera
 from avatar.rotation import unit_or_zero
@@ -23,6 +22,7 @@ from bake.promises import Facts
 from bake.run_capture import RunVideos
 from bake.texture.fill import TexelSurface, filled_colors
 from bake.texture.frame_alignment import WINDOWS, ShownVideo, aligned_frames
+from bake.texture.hair_colors import strange_beside_hair
 from bake.texture.pixel_reads import (
     AtlasMesh,
     PixelReads,
@@ -65,10 +65,6 @@ WIDER = 1.5
 AGREE = 1.0
 # share of the head from which a place is the head's alone, when what no video saw is filled
 WHOLE_HEAD = 0.95
-# difference from the tone of a lock of hair, darker or brighter, sRGB, from which a place of it shows something else
-STRANGE = 0.06
-# metres round such a place within which half of that difference is enough
-MIXED = 0.006
 # difference of a pixel's color from what the others show, sRGB, at which it counts a quarter where poses were estimated
 DOUBTED = 0.15
 # frames that show a texel, away from outlines, up to which it counts as unseen, and from which as seen; the same of
@@ -162,7 +158,7 @@ def solve_texture(
         facts[name]["rms_after"] = rounded(255 * _rms(left, weight_roots(own.matrix) / sure))
     seen = found.seen_share()[:, None]
     if videos.estimated:
-        seen[strange_on_hair(surface, solved, seen[:, 0] == 1, videos.chin)] = 0
+        seen[strange_beside_hair(surface, solved, seen[:, 0] == 1, videos.chin)] = 0
     rest = np.flatnonzero(seen < 1)
     fill = filled_colors(surface, solved, seen[:, 0] == 1)
     solved[rest] = seen[rest] * solved[rest] + (1 - seen[rest]) * fill
@@ -350,25 +346,6 @@ def limb_of(share: Float[Array, "corners 52"]) -> Integer[Array, "corners"]:
     head = JOINTS.index("head")
     rest = share * (np.arange(len(JOINTS)) != head)
     return np.where(share[:, head] > WHOLE_HEAD, head, rest.argmax(1))
-
-
-def strange_on_hair(
-    surface: TexelSurface, color: Float[Array, "texels 3"], seen: Bool[Array, "texels"], chin: float | None
-) -> Bool[Array, "texels"]:
-    """Texels of hanging hair that show something else: what lies behind a lock that ends elsewhere than estimated; and
-    within MIXED of these what is a mix of the two. None above the `chin` (canonical height, metres): hair that reaches
-    too far into a forehead shows skin, on which the hair's color would end in a saw."""
-    found = np.zeros(len(color), bool)
-    for piece in np.flatnonzero(np.arange(surface.piece.max() + 1) != np.bincount(surface.piece).argmax()):
-        own = surface.piece == piece
-        if (own & seen).any():
-            tone = unit_or_zero(np.median(color[own & seen], axis=0))
-            off = np.sqrt(np.square(color - (color @ tone)[:, None] * tone).mean(1))
-            strange, mixed = own & (off > STRANGE), np.flatnonzero(own & (off > STRANGE / 2))
-            if strange.any():
-                away = KDTree(surface.points[strange]).query(surface.points[mixed], distance_upper_bound=MIXED)[0]
-                found[mixed[away < MIXED]] = True
-    return found if chin is None else found & (surface.points[:, 1] < chin)
 
 
 def limb_axes(joints: Float[Array, "52 3"]) -> Float[Array, "52 3"]:

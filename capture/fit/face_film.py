@@ -10,7 +10,6 @@ A shape's gain is what it shows while it is performed. Its offset is what of it 
 detector's habit.
 """
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from scipy.ndimage import median_filter
 from scipy.optimize import nnls
 
 from avatar.body import builtin_body
+from avatar.constant import constant
 from avatar.face_template import builtin_face
 from avatar.rotation import cross_matrix, matrix_from_axis_angle
 from avatar.similarity import similarity_from_landmarks
@@ -71,7 +71,7 @@ class FaceGains(NamedTuple):
     shown: Bool[Array, "frames 10"]
 
 
-@cache
+@constant
 def moving_points() -> dict[str, int]:
     """The free body's vertex at each point of a face; of the points between the lips each has its own lip's."""
     points = {name: int(body_points()[name].vertices[0]) for name in FACE}
@@ -82,7 +82,7 @@ def moving_points() -> dict[str, int]:
     return points
 
 
-@cache
+@constant
 def point_rows() -> list[int]:
     """The free body's vertices at the points USED."""
     return [moving_points()[FACE[number]] for number in USED]

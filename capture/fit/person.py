@@ -10,13 +10,13 @@ surface with them. Last come places of limb joints in the flesh, which carry not
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from avatar.body import Body, builtin_body
+from avatar.constant import constant
 from avatar.kinematics import DESCENDS
 from avatar.skeleton import JOINTS, PARENTS
 from avatar.skinning import SkinWeights, dense_weights
@@ -128,7 +128,7 @@ def _settling() -> Float[Array, "52 3 n"]:
     return np.stack(directions, -1)
 
 
-@cache
+@constant
 def _carried(sex: str) -> Float[Array, "vertices 52"]:
     """How far each vertex goes with each joint when bones grow; rows sum to 1.
 

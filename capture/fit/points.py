@@ -5,7 +5,6 @@ male body; both sexes share their vertices. The jaw's points 0 to 16 slide along
 chin stays.
 """
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from avatar.body import builtin_body
+from avatar.constant import constant
 from avatar.skeleton import JOINTS
 from avatar.skinning import dense_weights
 from capture.keypoints.record import SIDES
@@ -61,7 +61,7 @@ class BodyPoint(NamedTuple):
         return vertices[self.vertices].mean(0) if len(self.vertices) else joints[self.joint]
 
 
-@cache
+@constant
 def body_points() -> dict[str, BodyPoint]:
     """All named points that have a place on the body (capture/keypoints/record.py has the names)."""
     points = {name: BodyPoint(k, np.zeros(0, np.int64)) for k, name in enumerate(JOINTS) if k}

@@ -6,13 +6,13 @@ what short hair and close clothes add, and only the trunk, where people differ, 
 (capture/template: hull.py, clothes.py).
 """
 
-from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from avatar.body import builtin_body
+from avatar.constant import constant
 from avatar.skeleton import JOINTS
 from avatar.skinning import dense_weights
 
@@ -29,7 +29,7 @@ TRUNK_JOINTS = [JOINTS.index(name) for name in ("pelvis", "spine1", "spine2", "s
 HEAD, NECK = JOINTS.index("head"), JOINTS.index("neck")
 
 
-@cache
+@constant
 def body_standoff() -> Float[Array, "vertices"]:
     """Metres by which the outlines of the body's video may move each vertex of the free body; 0: not at all.
 
@@ -42,7 +42,7 @@ def body_standoff() -> Float[Array, "vertices"]:
     return np.where(weights[:, own].sum(1) > 0.5, 0.0, reach)
 
 
-@cache
+@constant
 def scalp_standoff() -> Float[Array, "vertices"]:
     """The same of the head's video: the scalp alone."""
     body = builtin_body("male")
@@ -52,7 +52,7 @@ def scalp_standoff() -> Float[Array, "vertices"]:
     return np.where(head, SCALP * np.clip(np.maximum(over, behind) / RISE, 0, 1), 0.0)
 
 
-@cache
+@constant
 def head_outlined() -> Bool[Array, "vertices"]:
     """Vertices whose outlines show where the head is: over the hairline, and the face's profile.
 

@@ -4,7 +4,6 @@ A body template has sockets and no eyeballs. A capture whose registration measur
 (`eyes` of subject.npz); for the free body without that, each is fitted to its socket.
 """
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from avatar.body import builtin_body
+from avatar.constant import constant
 from avatar.rotation import fibonacci_sphere
 from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from avatar.skinning import dense_weights
@@ -66,7 +66,7 @@ class Socket(NamedTuple):
     rim: Int[Array, "m"]  # the edges of the lids, which are of the socket and of the skin
 
 
-@cache
+@constant
 def body_sockets() -> tuple[Socket, Socket]:
     """The eye sockets of the free body, left then right: islands of its texture (both sexes share them)."""
     body = builtin_body("male")

@@ -18,6 +18,7 @@ from bake.level import places_on_finest
 from bake.run_capture import run_videos
 from bake.texture import video_texture
 from bake.texture.fill import BLEND, NEAR, TexelSurface, filled_colors
+from bake.texture.hair_colors import hair_on_body, strange_on_hair
 from bake.texture.pixel_reads import (
     Belief,
     ViewChange,
@@ -37,7 +38,6 @@ from bake.texture.video_texture import (
     doubted,
     limb_axes,
     solve_texture,
-    strange_on_hair,
 )
 from capture.folder import read_capture
 from command.errors import AssetError
@@ -433,6 +433,38 @@ def test_a_lock_that_shows_the_shirt_is_unseen_and_dark_hair_with_a_shine_is_not
     chin = float(np.median(surface.points[shirt, 1]))
     hanging = strange_on_hair(surface, color, np.ones(len(color), bool), chin)
     assert hanging.tolist() == (found & (surface.points[:, 1] < chin)).tolist() != found.tolist()
+
+
+def test_a_shoulder_that_shows_hair_is_unseen_and_its_own_shadow_or_black_cloth_is_not():
+    """A sheet of hair over the first 5 cm of a red shirt 20 cm wide."""
+    points = np.concatenate([sheet(0.2), sheet(0.2) * [0.25, 1, 1] + [0, 0, 0.01]])
+    surface = flat_surface(points)
+    x, hair = points[:, 0], surface.piece == 1
+    color = np.where(hair[:, None], [0.14, 0.13, 0.15], [0.5, 0.06, 0.05])
+    shown, shadow = ~hair & (x > 0.06) & (x < 0.07), ~hair & (x > 0.08) & (x < 0.09)
+    color[shown], color[shadow] = [0.15, 0.13, 0.15], [0.2, 0.03, 0.02]
+    color[~hair & (x > 0.09) & (x < 0.1)] = [0.6, 0.58, 0.61]  # a grey collar
+    color[np.flatnonzero(hair)[::9]] *= 1.2
+    every = np.ones(len(color), bool)
+    assert hair_on_body(surface, color, every, None).tolist() == shown.tolist()
+    assert hair_on_body(surface, color, every, 0.05).tolist() == (shown & (points[:, 1] < 0.05)).tolist()
+    black = np.where(hair[:, None] | shown[:, None], color, [0.2, 0.19, 0.21])
+    assert not hair_on_body(surface, black, every, None).any()
+
+
+def test_the_rim_of_hair_that_ends_on_skin_shows_what_is_painted_round_it():
+    """Its last 1 cm, unseen, dips from 1 cm over the skin to it; on the skin a fringe is painted."""
+    points = np.concatenate([sheet(0.1), sheet(0.1)])
+    hair = np.arange(len(points)) >= len(points) // 2
+    points[:, 2] = np.where(hair, np.clip(points[:, 0] - 0.001, 0, 0.01), 0)
+    surface = flat_surface(points)
+    skin, fringe = np.array([0.8, 0.6, 0.5]), np.array([0.1, 0.09, 0.08])
+    color = np.where(hair[:, None] | (points[:, :1] < 0.05), fringe, skin)
+    seen = ~hair | (points[:, 0] > 0.008)
+    color[~seen] = skin
+    found = filled_colors(surface, color, seen)
+    on_skin = points[~seen, 2] < 0.002
+    np.testing.assert_allclose(found[on_skin], np.tile(fringe, (on_skin.sum(), 1)), atol=1e-6)
 
 
 def test_a_solved_texture_is_kept_within_what_pixels_show(painted, videos, monkeypatch):
