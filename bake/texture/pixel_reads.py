@@ -44,6 +44,9 @@ RIM_WIDTH, JUMP, RIM = 0.003, 0.015, 0.05
 # metres beside what stands FRONT nearer to the camera within which a pixel of the body's video says nothing where poses
 # were estimated: a hem, or an arm, is not where it was drawn
 COVERED, FRONT = 0.03, 0.03
+# share of a picture's shorter side beside its border within which pixels count less and less: where a person leaves it,
+# one video goes over into another
+FADE = 0.12
 # how much the body's video counts where another video looks closer
 FAR_VIDEO = 0.1
 # share of a video's own joints in a place's skin weights: none of the place's pixels count at the first, all above
@@ -353,7 +356,7 @@ def frame_reads(
     visible = important * (cosine > GRAZING) * np.where(_near_rim(frame, drawn, hit, sure)[whole], RIM, 1.0)
     if belief.covered:
         visible *= ~_beside_front(frame, drawn, hit, belief.covered, s)[whole]
-    counts = visible * best**2 * (np.maximum(cosine, 0) / best) ** belief.power
+    counts = visible * from_border(whole)[whole] * best**2 * (np.maximum(cosine, 0) / best) ** belief.power
     if lit is not None:
         # a burnt pixel may have been brighter, and what no light reached shows no color
         known = (image[rows, columns].max(1) < BURNT) & (blended(lit.frame, corners, weight).mean(1)[:, 0] > DARK)
@@ -382,6 +385,12 @@ def bilinear_reads(uv: Float[Array, "pixels samples 2"], mesh: AtlasMesh) -> csr
     result = csr_matrix((value.reshape(-1), mesh.row_of[texel.reshape(-1)], pointers), shape)
     result.sum_duplicates()
     return result
+
+
+def from_border(whole: Bool[Array, "height width"]) -> Float[Array, "height width"]:
+    """How much the pixels of a picture count for being near its border: from 0 to 1 within FADE of its shorter side."""
+    away = [np.minimum(np.arange(n) + 0.5, n - 0.5 - np.arange(n)) for n in whole.shape]
+    return np.clip(np.minimum(away[0][:, None], away[1]) / (FADE * min(whole.shape)), 0, 1)
 
 
 def _near_rim(

@@ -20,6 +20,7 @@ from bake.texture import video_texture
 from bake.texture.fill import BLEND, NEAR, TexelSurface, filled_colors
 from bake.texture.hair_colors import hair_on_body, strange_on_hair
 from bake.texture.pixel_reads import (
+    FADE,
     Belief,
     ViewChange,
     atlas_mesh,
@@ -133,6 +134,23 @@ def test_outlines_hardly_count(rasteriser, painted, videos):
     half = frame_reads(mesh, frame, drawn, video.images[0], cut, Belief(ones, ones, 0))
     assert 0.3 < len(half.weight) / len(whole.weight) < 0.7
     assert (half.weight < 0.06).sum() > 10 and (whole.weight > 0.9).sum() > 100
+
+
+def test_a_person_who_leaves_the_picture_counts_less_and_less_there(rasteriser, painted, videos):
+    """The same frame whole, and cut at its middle row."""
+    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
+    video, ones = videos.video("body"), np.ones(len(mesh.positions))
+    frame, high = next(posed_frames(mesh, video, videos.head_from_canonical)), SIZE[1] // 2
+    cut = frame._replace(camera=replace(frame.camera, size=(SIZE[0], high)))
+    weight = []
+    for one, rows in ((frame, SIZE[1]), (cut, high)):
+        drawn = drawn_finer(rasteriser, mesh, one, 1)
+        own = frame_reads(mesh, one, drawn, video.images[0][:rows], video.masks[0][:rows], Belief(ones, ones, 0))
+        weight.append(np.bincount(own.index, own.weight, SIZE[0] * SIZE[1])[: SIZE[0] * high].reshape(high, -1))
+    share = weight[1].sum(1) / np.maximum(weight[0].sum(1), 1e-9)
+    wide = FADE * high
+    assert share[-1] < 0.3 < 0.4 < share[-1 - int(wide / 2)] < 0.7 and (np.diff(share[-int(wide) :]) < 0).all()
+    np.testing.assert_allclose(share[high // 2 : -int(wide) - 1], 1, atol=0.05)
 
 
 def test_what_lies_beside_something_in_front_does_not_count_where_poses_were_estimated(rasteriser, painted, videos):
