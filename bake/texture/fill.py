@@ -20,7 +20,6 @@ and a hairline would be a saw. The rim of hair that ends on seen skin shows the 
 either.
 """
 
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -49,9 +48,11 @@ ROUND, SOFT = 10, 0.002
 # a ring of a limb: metres along it, cells round it, deviation in rings of what lies beside it and counts as well, cells
 # that must be seen before it is closed by them
 RING, TURN, BESIDE, KNOWN = 0.0025, 90, 1.0, 4
-# how many times farther from the axis, or nearer, what a ring shows may be than a texel: a skirt round a leg is none of
-# it
-LAYER = 1.25
+# how many times farther from the axis, or nearer, what a ring shows may be than a texel: up to the first it is of the
+# same layer, from the second on of another, as a skirt is round a leg
+LAYER = (1.2, 1.4)
+# deviation in rings within which a limb is straight
+STRAIGHT = 6.0
 # how far from its materials' colors an unseen texel's may be
 NEAR = 6 / 255
 # metres over which one material goes over into another, the texels that this is asked of, and how much more than others
@@ -73,7 +74,8 @@ class TexelSurface(NamedTuple):
     normals: Float[Array, "texels 3"]
     area: Float[Array, "texels"]
     piece: Integer[Array, "texels"]  # the connected piece of the surface
-    limb: Integer[Array, "texels"]  # row of `axes`
+    limbs: Integer[Array, "texels 2"]  # rows of `axes`: the limb that each is of, and the one that it goes over into
+    over: Float[Array, "texels"]  # how much of it is the second's, [0, 1/2]
     axes: Float[Array, "limbs 3"]  # unit, along each limb; zero: none, NaN: no limb, it is filled by material
 
 
@@ -84,7 +86,7 @@ def filled_colors(
     unseen = np.flatnonzero(~seen)
     if len(unseen) == 0 or len(unseen) == len(seen):
         return color[unseen]
-    of_limb = np.isfinite(surface.axes[surface.limb[unseen], 0])
+    of_limb = np.isfinite(surface.axes[surface.limbs[unseen, 0], 0])
     result = np.empty((len(unseen), 3), color.dtype)
     result[of_limb] = round_limbs(surface, color, seen, unseen[of_limb])
     result[~of_limb] = by_material(surface, color, seen, unseen[~of_limb])
@@ -110,25 +112,27 @@ def rims_of_hair(
 def round_limbs(
     surface: TexelSurface, color: Float[Array, "texels 3"], seen: Bool[Array, "texels"], rows: Integer[Array, "rows"]
 ) -> Float[Array, "rows 3"]:
-    """Colors for texels of limbs: what lies beside them round the limb."""
-    result = color[rows].copy()
-    places = {int(piece): seen_places(surface, seen, int(piece)) for piece in np.unique(surface.piece[rows])}
-    for piece, limb in product(places, np.unique(surface.limb[rows])):
-        own = (surface.piece[rows] == piece) & (surface.limb[rows] == limb)
-        if not own.any():
-            continue
-        asked, axis, given = rows[own], surface.axes[limb], places[piece]
-        result[own] = beside(surface, color, given, asked)
-        if axis.any():
-            same = np.flatnonzero((surface.piece == piece) & (surface.limb == limb))
-            shown = given[(surface.piece[given] == piece) & (surface.limb[given] == limb)]
-            rings = Rings.about(axis, surface.points[same])
-            # the inside of cloth is none of its outside
-            for out in (False, True):
-                facing = lambda some, out=out: some[rings.faces_out(surface, some) == out]
-                wanted = own.copy()
-                wanted[own] = rings.faces_out(surface, asked) == out
-                result[wanted] = rings.closed(surface, color, facing(shown), rows[wanted], result[wanted])
+    """Colors for texels of limbs: what lies beside them round the limb, at a joint of both limbs."""
+    result = np.zeros((len(rows), 3), color.dtype)
+    limbs, over = surface.limbs[rows], surface.over[rows]
+    for piece in np.unique(surface.piece[rows]):
+        whole, given = surface.piece[rows] == piece, seen_places(surface, seen, int(piece))
+        near = beside(surface, color, given, rows[whole])
+        shown = given[surface.piece[given] == piece]
+        for limb in np.unique(limbs[whole]):
+            weight = ((1 - over) * (limbs[:, 0] == limb) + over * (limbs[:, 1] == limb))[whole]
+            own, axis = weight > 0, surface.axes[limb]
+            found, asked = near[own].copy(), rows[whole][own]
+            same = np.flatnonzero((surface.piece == piece) & (surface.limbs[:, 0] == limb))
+            if axis.any() and len(same) and len(asked):
+                rings, of_limb = Rings.about(axis, surface.points[same]), shown[surface.limbs[shown, 0] == limb]
+                # the inside of cloth is none of its outside
+                inside_given, inside_asked = ~rings.faces_out(surface, of_limb), ~rings.faces_out(surface, asked)
+                for inside in (False, True):
+                    some = inside_asked == inside
+                    places = of_limb[inside_given == inside]
+                    found[some] = rings.closed(surface, color, places, asked[some], found[some])
+            result[np.flatnonzero(whole)[own]] += weight[own, None] * found
     return result
 
 
@@ -147,27 +151,36 @@ class Rings(NamedTuple):
     """Cylinder coordinates about a limb, metres."""
 
     frame: Float[Array, "3 3"]  # rows: unit, along it and two across
-    middle: Float[Array, "3"]
     low: float  # along it, where the first ring begins
-    count: int  # rings
+    middles: Float[Array, "rings 2"]  # across it
 
     @classmethod
     def about(cls, axis: Float[Array, "3"], points: Float[Array, "points 3"]) -> "Rings":
-        """Of a limb's points, about their middle."""
+        """Of a limb's points, each ring about its own middle: a limb is no straight cylinder."""
         across = unit_or_zero(np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))]))
-        frame, middle = np.stack([axis, across, np.cross(axis, across)]), points.mean(0)
-        along = (points - middle) @ axis
-        return cls(frame, middle, float(along.min()), int(np.ptp(along) / RING) + 1)
+        frame = np.stack([axis, across, np.cross(axis, across)])
+        along, *sides = (points @ frame.T).T
+        low, count = float(along.min()), int(np.ptp(along) / RING) + 1
+        ring = np.clip(((along - low) / RING).astype(int), 0, count - 1)
+        sums = np.stack([np.bincount(ring, weight, count) for weight in (None, *sides)], -1)
+        sums = gaussian_filter1d(sums, STRAIGHT, 0, mode="constant") + 1e-9 * sums.sum(0)
+        return cls(frame, low, sums[:, 1:] / sums[:, :1])
+
+    def cylinder(self, points: Float[Array, "points 3"]) -> tuple[Float[Array, "points"], Float[Array, "points 2"]]:
+        """Ring, whole in its middle, and metres across from that ring's middle."""
+        along, *sides = (points @ self.frame.T).T
+        every = np.arange(len(self.middles))
+        ring = np.clip((along - self.low) / RING - 0.5, 0, len(every) - 1)
+        return ring, np.stack([x - np.interp(ring, every, own) for x, own in zip(sides, self.middles.T)], -1)
 
     def faces_out(self, surface: TexelSurface, rows: Integer[Array, "rows"]) -> Bool[Array, "rows"]:
         """Whether texels face away from the limb's middle."""
-        outward = (surface.points[rows] - self.middle) @ self.frame[1:].T
+        outward = self.cylinder(surface.points[rows])[1]
         return ((surface.normals[rows] @ self.frame[1:].T) * outward).sum(1) > 0
 
     def cells(self, points: Float[Array, "points 3"]) -> tuple[Float[Array, "points"], ...]:
         """Ring and cell of it, with fractions: those of the first cell's middle are 0. And metres from the axis."""
-        along, x, y = ((points - self.middle) @ self.frame.T).T
-        ring = np.clip((along - self.low) / RING - 0.5, 0, self.count - 1)
+        ring, (x, y) = (part.T for part in self.cylinder(points))
         return ring, (np.arctan2(y, x) / (2 * np.pi) * TURN - 0.5) % TURN, np.hypot(x, y)
 
     def closed(
@@ -177,8 +190,9 @@ class Rings(NamedTuple):
         """Colors round the limb for texels that are asked; `otherwise` where little of it was seen, or cloth."""
         ring, turn, reach = self.cells(surface.points[given])
         cell = np.round(ring).astype(int) * TURN + np.round(turn).astype(int) % TURN
-        sums = [np.bincount(cell, weight, self.count * TURN) for weight in (None, *color[given].T, reach)]
-        sums = np.stack(sums, -1).reshape(self.count, TURN, 5).astype(np.float64)
+        count = len(self.middles)
+        sums = [np.bincount(cell, weight, count * TURN) for weight in (None, *color[given].T, reach)]
+        sums = np.stack(sums, -1).reshape(count, TURN, 5).astype(np.float64)
         sums = gaussian_filter1d(sums, BESIDE, 0, mode="constant", truncate=2)
         sure = sums[..., 0] > 0.05
         whole = np.flatnonzero(sure.sum(1) >= KNOWN)
@@ -197,10 +211,11 @@ class Rings(NamedTuple):
         total, result = np.zeros(len(asked)), np.zeros((len(asked), 3))
         for row, weight in ((low, 1 - at + low), (np.minimum(low + 1, len(whole) - 1), at - low)):
             *found, shown = (map_coordinates(grid[..., k], (row, turn), order=1, mode="nearest") for k in range(4))
-            share = (weight + 1e-9) * (shown < LAYER * reach) * (reach < LAYER * shown)
+            off = np.maximum(shown / np.maximum(reach, 1e-9), reach / np.maximum(shown, 1e-9))
+            share = weight * np.clip((LAYER[1] - off) / (LAYER[1] - LAYER[0]), 0, 1)
             total += share
             result += share[:, None] * np.stack(found, -1)
-        return np.where(total[:, None] > 0, result / np.maximum(total, 1e-12)[:, None], otherwise)
+        return result + (1 - total[:, None]) * otherwise
 
 
 def seen_places(surface: TexelSurface, seen: Bool[Array, "texels"], piece: int) -> Integer[Array, "places"]:

@@ -26,6 +26,7 @@ from bake.texture.hair_colors import strange_beside_hair
 from bake.texture.pixel_reads import (
     AtlasMesh,
     PixelReads,
+    Place,
     ViewChange,
     atlas_mesh,
     part_of_corners,
@@ -335,17 +336,31 @@ def texel_surface(mesh: AtlasMesh, texel: Float[Array, "texels"]) -> TexelSurfac
     weight /= weight.sum(1, keepdims=True)
     corners = mesh.faces[mesh.texels.face]
     facing = unit_or_zero(blended(mesh.normals, corners, weight))
+    axes = limb_axes(mesh.joints)
+    limbs, over = limbs_of(mesh.share, axes, Place(corners, weight))
     return TexelSurface(
         TriangleMesh(welded, faces), faces[mesh.texels.face], weight, blended(mesh.positions, corners, weight), facing,
-        np.square(texel), mesh.piece[mesh.texels.face], limb_of(mesh.share)[corners[:, 0]], limb_axes(mesh.joints),
+        np.square(texel), mesh.piece[mesh.texels.face], limbs, over, axes,
     )  # fmt: skip
 
 
-def limb_of(share: Float[Array, "corners 52"]) -> Integer[Array, "corners"]:
-    """The joint that moves each vertex most; under the chin the neck, where the head's share is not whole."""
-    head = JOINTS.index("head")
-    rest = share * (np.arange(len(JOINTS)) != head)
-    return np.where(share[:, head] > WHOLE_HEAD, head, rest.argmax(1))
+def limbs_of(
+    share: Float[Array, "corners 52"], axes: Float[Array, "52 3"], place: Place
+) -> tuple[Integer[Array, "points 2"], Float[Array, "points"]]:
+    """The two joints that move each place most, and how much of it goes over to the second, half of it at most; under
+    the chin the neck's is first, where the head's share is not whole. Nothing goes over to what is no limb."""
+    head, of_head = JOINTS.index("head"), place.of(share[:, [JOINTS.index("head")]])[:, 0]
+    limbs, most = np.zeros((2, len(of_head)), np.int64), np.zeros((2, len(of_head)))
+    for joint in np.flatnonzero(np.arange(len(JOINTS)) != head):
+        own = place.of(share[:, [joint]])[:, 0]
+        # to the second place, which what was first falls to
+        own, fallen = np.where(own > most[0], (own, most[0]), (most[0], own))
+        limbs[1] = np.where(own > most[0], limbs[0], np.where(fallen > most[1], joint, limbs[1]))
+        limbs[0] = np.where(own > most[0], joint, limbs[0])
+        most = np.stack([own, np.maximum(most[1], fallen)])
+    over = np.where(np.isfinite(axes[limbs[1], 0]), most[1] / np.maximum(most.sum(0), 1e-9), 0.0)
+    limbs[0, of_head > WHOLE_HEAD] = head
+    return limbs.T, over
 
 
 def limb_axes(joints: Float[Array, "52 3"]) -> Float[Array, "52 3"]:

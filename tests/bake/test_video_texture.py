@@ -22,6 +22,7 @@ from bake.texture.hair_colors import hair_on_body, strange_on_hair
 from bake.texture.pixel_reads import (
     FADE,
     Belief,
+    Place,
     ViewChange,
     atlas_mesh,
     drawn_finer,
@@ -38,6 +39,7 @@ from bake.texture.video_texture import (
     averaging,
     doubted,
     limb_axes,
+    limbs_of,
     solve_texture,
 )
 from capture.folder import read_capture
@@ -249,7 +251,7 @@ def flat_surface(points, axis=np.nan):
     return TexelSurface(
         TriangleMesh(points, faces), np.stack([np.arange(count)] * 3, 1), np.tile([1.0, 0, 0], (count, 1)), points,
         np.tile([0, 0, 1.0], (count, 1)), np.full(count, 6e-6), np.repeat(np.arange(len(index)), index[0].size),
-        np.zeros(count, int), np.full((1, 3), axis),
+        np.zeros((count, 2), int), np.zeros(count), np.full((1, 3), axis),
     )  # fmt: skip
 
 
@@ -336,6 +338,21 @@ def test_stripes_go_on_round_a_limb_whatever_the_field_dreamt():
     np.testing.assert_allclose(found[amid], np.tile(wanted[amid], 3), atol=0.08)
     by_material = filled_colors(surface._replace(axes=np.full((1, 3), np.nan)), guess, seen)
     assert (np.abs(by_material - wanted)[amid].max(1) > 0.3).any()
+
+
+def test_a_limb_goes_over_into_the_next_as_their_joints_share_it():
+    share = np.zeros((4, 52))
+    elbow, shoulder, wrist, head = (
+        JOINTS.index(name) for name in ("left_elbow", "left_shoulder", "left_wrist", "head")
+    )
+    share[0, [shoulder, elbow]], share[1, [shoulder, elbow]], share[2, [elbow, wrist]] = (0.8, 0.2), (0, 1), (0.4, 0.6)
+    share[3, [head, shoulder]] = 0.96, 0.04
+    axes = np.full((52, 3), np.nan)
+    axes[[shoulder, elbow]] = [1, 0, 0]
+    corners = np.array([[0, 0, 0], [0, 1, 1], [2, 2, 2], [3, 3, 3]])
+    limbs, over = limbs_of(share, axes, Place(corners, np.tile([0.5, 0.25, 0.25], (4, 1))))
+    assert limbs[:3].tolist() == [[shoulder, elbow], [elbow, shoulder], [wrist, elbow]] and limbs[3, 0] == head
+    np.testing.assert_allclose(over[:3], [0.2, 0.4, 0.4])
 
 
 def test_a_leg_under_a_hem_is_filled_from_the_leg_and_not_from_the_skirt_round_it():
