@@ -354,9 +354,10 @@ def frame_reads(
     values = np.stack([frame.cosine, belief.importance, belief.best], 1).astype(np.float32)
     cosine, important, best = blended(values, corners, weight).mean(1).T
     visible = important * (cosine > GRAZING) * np.where(_near_rim(frame, drawn, hit, sure)[whole], RIM, 1.0)
+    visible *= from_border(whole)[whole]
     if belief.covered:
         visible *= ~_beside_front(frame, drawn, hit, belief.covered, s)[whole]
-    counts = visible * from_border(whole)[whole] * best**2 * (np.maximum(cosine, 0) / best) ** belief.power
+    counts = visible * best**2 * (np.maximum(cosine, 0) / best) ** belief.power
     if lit is not None:
         # a burnt pixel may have been brighter, and what no light reached shows no color
         known = (image[rows, columns].max(1) < BURNT) & (blended(lit.frame, corners, weight).mean(1)[:, 0] > DARK)
