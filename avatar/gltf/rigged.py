@@ -30,6 +30,7 @@ from avatar.gltf.scene import (
     primitives,
     read_primitive,
     read_skin,
+    visible_nodes,
     world_from_node,
 )
 from avatar.rotation import axis_angle_from_matrix, rotation_between, unit_or_zero
@@ -79,13 +80,17 @@ def read_rigged(gltf: Gltf) -> Rigged:
     joint_nodes, naming = find_joints(path, gltf.json | {"nodes": named})
     notes = [f"{naming} joint names"]
     rig = NodeTree(gltf, joint_nodes)
-    nodes = [i for i, node in enumerate(named) if "mesh" in node]
+    bearers = [i for i, node in enumerate(named) if "mesh" in node]
+    visible = visible_nodes(gltf)
+    nodes = [i for i in bearers if visible[i]]
     if not there.all():
         notes.append(f"scene: the file's own choice of {len(gltf.items('scenes'))}, the others are left out")
+    if len(nodes) < len(bearers):
+        notes.append(f"hidden by KHR_node_visibility: {len(bearers) - len(nodes)} meshes are left out")
     nodes.sort(key=lambda i: "skin" not in gltf.items("nodes")[i])  # skins first: they say where bones are bound
     parts = [part for node in nodes for part in _read_mesh_node(rig, node)]
     if not parts:
-        raise AssetError(f"{path}: meshes: expected triangles on the skeleton, found none")
+        raise AssetError(f"{path}: meshes: expected visible triangles on the skeleton, found none")
     if any(mesh.get("weights") for mesh in gltf.items("meshes")):
         notes.append("morph targets are left at zero")
 

@@ -77,6 +77,20 @@ def nodes_of_scene(gltf: Gltf) -> Bool[Array, "nodes"]:
     return there
 
 
+def visible_nodes(gltf: Gltf) -> Bool[Array, "nodes"]:
+    """Which nodes are displayed: KHR_node_visibility hides neither them nor a node above."""
+    parents = node_parents(gltf)
+    visible = np.ones(len(parents), bool)
+    for node in parents_first(parents):
+        where = f"nodes[{node}]"
+        stated = gltf.extensions(gltf.items("nodes")[node], where).get("KHR_node_visibility", {})
+        own = stated.get("visible", True) if isinstance(stated, dict) else None
+        if type(own) is not bool:
+            raise gltf.error(f"{where} KHR_node_visibility", "an object, its `visible` true or false", stated)
+        visible[node] = own and (parents[node] < 0 or visible[parents[node]])
+    return visible
+
+
 class NodePlace(NamedTuple):
     """A node's own transform, T R S: parent_from_node x = translation + R (scale * x)."""
 

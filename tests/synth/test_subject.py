@@ -81,6 +81,21 @@ def test_who_stands_in_another_scene_is_left_out(tmp_path, shown):
     assert any("scene: the file's own choice of 2" in note for note in subject.notes)
 
 
+def test_meshes_that_are_hidden_or_below_a_hidden_node_are_left_out(tmp_path):
+    document, vertices = rigs.rig()
+    props = [{"mesh": 0, "translation": [k, 0, 0]} for k in (1, 2)]
+    hidden = {"extensions": {"KHR_node_visibility": {"visible": False}}}
+    shown = {"extensions": {"KHR_node_visibility": {"visible": True}}}
+    # the second prop is hidden by the node above it; joints below a hidden node move the person all the same
+    document["nodes"] += [props[0] | hidden, props[1] | shown, hidden | {"children": [0, 54]}]
+    subject = read_subject(rigs.write(tmp_path / "a.gltf", document))
+    np.testing.assert_allclose(subject.vertices, vertices, rtol=0, atol=1e-6)
+    assert "hidden by KHR_node_visibility: 2 meshes are left out" in subject.notes
+    document["nodes"][53]["extensions"] = {"KHR_node_visibility": {"visible": "no"}}
+    with pytest.raises(AssetError, match=r"nodes\[53\] KHR_node_visibility should be an object"):
+        read_subject(rigs.write(tmp_path / "a.gltf", document))
+
+
 @pytest.mark.parametrize("version", [0, 1])
 def test_joints_are_found_by_the_vrm_humanoid_whatever_their_names(tmp_path, version):
     document, vertices = rigs.rig([f"bone {i}" for i in range(52)])
