@@ -229,6 +229,7 @@ def main(argv: Sequence[str]) -> int:
     """Parse the command line and make the avatar."""
     wanted = parse(MakeCommand, argv, ABOUT)
     check_file(wanted.out)
+    wanted.reading.check()
     if wanted.camera is not None:
         wanted = film_yourself(wanted)
     claim(wanted)

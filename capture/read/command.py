@@ -80,6 +80,13 @@ class FilmOptions:
     ] = None
     frames: Annotated[int, AtLeast(8), AtMost(1000), "most frames of a video that are used"] = 60
 
+    def check(self) -> None:
+        """Refuse folders that are named and absent, before the work begins: `AssetError`."""
+        for option in ("keypoints", "masks", "models"):
+            folder = getattr(self, option)
+            if folder not in (None, "auto") and not Path(folder).is_dir():
+                raise AssetError(f"--{option} {folder}: expected a folder, found none")
+
 
 @dataclass(frozen=True)
 class VideoCommand:
@@ -142,6 +149,7 @@ def _import_video(command: VideoCommand) -> list[str]:
     from capture.read.video import VideoImport, import_video
 
     reading = command.reading
+    reading.check()
     check_folder(command.out, *command.videos)
     files, face = find_videos(command.videos), face_film(command.videos)
     beside = files["body"].parent / "keypoints"

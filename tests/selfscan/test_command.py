@@ -224,6 +224,15 @@ def test_films_that_are_not_there_are_refused_before_anything_is_made(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("option", ["keypoints", "masks", "models"])
+def test_a_folder_that_is_named_and_absent_is_refused_before_anything_is_made(films, tmp_path, capsys, option):
+    absent = tmp_path / "nope"
+    for words in (("make", films), ("import", "video", films)):
+        said = f"--{option} {absent}: expected a folder, found none"
+        refused(capsys, *words, "-o", tmp_path / "me.glb", f"--{option}", absent, names=(said,))
+    assert list(tmp_path.iterdir()) == [films]
+
+
 def test_four_minutes_end_with_the_first_avatar_and_more_go_on_from_there(films, ran, tmp_path):
     out = tmp_path / "me.glb"
     make.main([str(films), "-o", str(out), "--minutes", "4"])
