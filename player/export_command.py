@@ -11,7 +11,7 @@ from avatar.gltf.vrm_write import write_vrm
 from avatar.motion.amass import write_amass
 from avatar.motion.bvh_write import write_bvh
 from command.command_line import Help, Option, parse
-from command.errors import AssetError
+from command.errors import AssetError, unicode_text
 from command.progress import plural
 from command.settings import OneOf
 from files.whole import check_file
@@ -63,6 +63,8 @@ class ExportCommand:
             raise ValueError("--motion: expected one, except of a .vrm")
         if self.kind != ".vrm" and (self.author is not None or self.who != PERMISSIONS[0] or self.vrm0):
             raise ValueError("--author, --who and --vrm0 are for .vrm")
+        if self.author and unicode_text(self.author) != self.author:
+            raise ValueError(f"--author: expected UTF-8 text, found {self.author!r}")
         if self.unit != "m" and self.kind != ".bvh":
             raise ValueError(f"--unit is for .bvh; {self.kind} files are in metres")
         if self.output.exists() and Path(self.avatar).exists() and self.output.samefile(self.avatar):

@@ -92,7 +92,9 @@ class GltfBuilder:
         document["buffers"] = [{"byteLength": len(self.binary)}] if self.binary else []
         # glTF has no empty lists
         document = {key: value for key, value in document.items() if value != []}
-        text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+        # half a surrogate pair, as names of files may hold, is a question mark: strict readers refuse its JSON escape
+        stated = json.dumps(document, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+        text = stated.encode("utf-8", "replace")
         text += b" " * (-len(text) % 4)
         chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
         if self.binary:

@@ -82,6 +82,7 @@ WRONG = [
     ("rendr", "did you mean render?"),
     ("export a.glb --motion counting -o out.fbx", "expected a name that ends in .bvh, .glb, .npz, .vrm, found"),
     ("export a.glb --motion counting -o out.npz --unit cm", "--unit is for .bvh"),
+    ("export a.glb -o out.vrm --author An\udcffna", "--author: expected UTF-8 text, found 'An\\udcffna'"),
     ("synth builtin cap --keypoints", "--seconds and what follows it go with --raw"),
     ("synth builtin cap --raw --frames 20", "--template are of a capture"),
     ("import", "expected video, totalselfscan or easymocap, found nothing"),

@@ -86,6 +86,11 @@ def test_accessors_round_trip(tmp_path, dtype, kind):
     np.testing.assert_array_equal(found, values)
 
 
+def test_a_name_that_is_no_text_is_written_as_json_that_strict_readers_take(tmp_path):
+    (tmp_path / "a.glb").write_bytes(GltfBuilder().to_bytes(ASSET | {"nodes": [{"name": "née \U0001f600 \udcff"}]}))
+    assert read_gltf(tmp_path / "a.glb").items("nodes")[0]["name"] == "née \U0001f600 ?"
+
+
 def test_columns_and_strides_are_read_as_the_format_has_them(tmp_path):
     moved = np.eye(4, dtype=np.float32)[None].copy()
     moved[0, :3, 3] = 1, 2, 3
