@@ -192,7 +192,8 @@ def beyond_loop(points: Float[Array, "n 2"], loop: Float[Array, "m 2"]) -> Float
     """Distance of points from a closed line in the plane, negative inside of it."""
     start, along = loop, np.roll(loop, -1, 0) - loop
     offset = points[:, None] - start
-    share = np.clip((offset * along).sum(2) / (along**2).sum(1), 0, 1)
+    squared = (along**2).sum(1)
+    share = np.clip((offset * along).sum(2) / np.where(squared > 0, squared, 1), 0, 1)
     away = np.linalg.norm(offset - share[..., None] * along, axis=2).min(1)
     y0, y1 = loop[:, 1], np.roll(loop[:, 1], -1)
     between = (y0 > points[:, 1:]) != (y1 > points[:, 1:])

@@ -13,7 +13,7 @@ from avatar.rotation import fibonacci_sphere
 from bake.measure import field_to_mesh
 from command.errors import AssetError
 from geometry import closest
-from geometry.closest import closest_on_triangles, closest_points, triangle_index
+from geometry.closest import beyond_loop, closest_on_triangles, closest_points, triangle_index
 from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged, magnified, shrunk
 from geometry.mesh import (
     TriangleMesh,
@@ -186,6 +186,13 @@ def around(low=LOW, shape=(41, 41, 41), sign=lambda d: np.ones(len(d))):
     grid = winding_grid(RADIUS * d, AREA / 4000 * sign(d)[:, None] * d, low, shape, CELL)
     nodes = low + CELL * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1)
     return grid, np.linalg.norm(nodes, axis=-1), nodes
+
+
+def test_a_repeated_point_of_a_loop_changes_no_distance_from_it():
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
+    points = np.array([[0.5, 0.5], [2, 0.5], [1, 0]])
+    np.testing.assert_array_equal(beyond_loop(points, square), [-0.5, 1, 0])
+    np.testing.assert_array_equal(beyond_loop(points, square[[0, 1, 1, 2, 3, 0]]), [-0.5, 1, 0])
 
 
 def test_a_sphere_winds_once_round_its_inside_also_with_holes():
