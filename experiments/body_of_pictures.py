@@ -94,6 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(f"--stature should be 0.5 to 2.5 metres, is {given.stature:g}")
     if given.focal is not None and not given.focal > 0:
         parser.error(f"--focal should be above 0, is {given.focal:g}")
+    given.out.parent.mkdir(parents=True, exist_ok=True)
     check_folder(given.out)
     video = pictures_of_body(given.pictures, given.masks, given.keypoints, focal=given.focal, most=given.frames)
     progress, done = Progress("fitting", STEPS["body"]), 0

@@ -23,7 +23,7 @@ from avatar.gltf.avatar_file import read_avatar
 from bench.ladder.rung_pictures import FRAMES, ComparedFrame, held_out_frames, motion_frames, rung_pictures
 from bench.ladder.rung_scores import compared, crop_of, median_interval
 from bench.report.writer import markdown_table, number
-from files.whole import whole_folder, write_json, write_text
+from files.whole import check_folder, whole_folder, write_json, write_text
 from player.budget.ladder import frame_times, rungs_of
 from player.budget.rung import Rung
 from player.effects.light import Light
@@ -140,6 +140,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--capture", type=Path, help="capture folder with truth/, whose pictures judge")
     parser.add_argument("--rounds", type=int, default=20, help="pairs of frames")
     command = parser.parse_args(argv)
+    command.out.parent.mkdir(parents=True, exist_ok=True)
+    check_folder(command.out)
     avatar = read_avatar(command.avatar)
     frames = motion_frames(avatar, FRAMES) if command.capture is None else held_out_frames(command.capture, FRAMES)
     truths = [frame.truth.image() for frame in frames if frame.truth is not None]

@@ -31,7 +31,7 @@ from avatar.gltf.avatar_file import read_avatar
 from bench.ladder.machine import Quiet
 from bench.report.writer import markdown_table
 from experiments.alternating import here
-from files.whole import whole_folder, write_json, write_text
+from files.whole import check_folder, whole_folder, write_json, write_text
 from player.draw.drawing import BarePose
 from player.gl.context import Context, open_context
 from player.scene.arguments import parse_size
@@ -276,6 +276,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=20, help="timed frames of each point")
     parser.add_argument("--size", type=parse_size, default=SIZE, help="pixels, WxH")
     command = parser.parse_args(argv)
+    command.out.parent.mkdir(parents=True, exist_ok=True)
+    check_folder(command.out)
     avatar = mannequin() if command.avatar is None else read_avatar(command.avatar)
     result = bench_scale(avatar, command.out, rounds=command.rounds, size=command.size)
     for row in result["sweeps"]:

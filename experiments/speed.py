@@ -27,7 +27,7 @@ from experiments import speed_peers, speed_rows
 from experiments.alternating import alternate, here
 from experiments.bare_draw import BareDraw, coverage
 from experiments.speed_page import markdown, plot
-from files.whole import whole_folder, write_json, write_text
+from files.whole import check_folder, whole_folder, write_json, write_text
 from player.budget.ladder import views_of
 from player.budget.rung import VIEW_NAMES
 from player.draw.drawing import BarePose
@@ -224,6 +224,8 @@ def speed(
     styles: Sequence[str] = ("default", "lightest"),
 ) -> dict[str, Any]:
     """Measure, write speed.json, speed.md and speed.png into folder `out`, and return what was written."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    check_folder(out)
     avatar, stand_in = with_stand_in(read_avatar(path))
     poses, camera_of = body_frames(avatar)
     with open_context() as context, Quiet() as quiet:

@@ -5,6 +5,7 @@ import os
 import socket
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,13 +15,14 @@ from tiny_avatar import tiny_avatar
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.read import builtin_motion, read_motion
-from experiments import budgets, speed_peers, speed_rows
+from command.errors import AssetError
+from experiments import budgets, effect_rungs, scale, speed_peers, speed_rows
 from experiments.alternating import Turn, alternate, here
 from experiments.bare_draw import BareDraw, coverage, posed_vertices
 from experiments.bare_program import BareProgram
 from experiments.live_sender import sending
 from experiments.scale import ScaleSteps, bench_scale, crowd, fitted_power, write_still_motion
-from experiments.speed import bars, body_frames, main, with_stand_in
+from experiments.speed import bars, body_frames, main, speed, with_stand_in
 from player.budget.ladder import PricedRung
 from player.budget.measure import BudgetScene
 from player.budget.rung import Rung
@@ -39,6 +41,21 @@ def body():
     avatar = mannequin(texture=64)
     poses, camera_of = body_frames(avatar)
     return avatar, poses, camera_of((96, 96))
+
+
+# where the numbers go
+
+COMMANDS = (scale.main, effect_rungs.main, lambda words: speed(Path(words[0]), Path(words[2])))
+
+
+@pytest.mark.parametrize("measured", COMMANDS)
+def test_the_place_of_the_numbers_is_made_or_refused_before_anything_is_measured(tmp_path, measured):
+    with pytest.raises(AssetError, match=r"nobody\.glb: no such file"):
+        measured(["nobody.glb", "-o", str(tmp_path / "out" / "numbers")])
+    assert (tmp_path / "out").is_dir()
+    (tmp_path / "out" / "mine.txt").touch()
+    with pytest.raises(AssetError, match=r"mine\.txt in it is not known to be selfscan's"):
+        measured(["nobody.glb", "-o", str(tmp_path / "out")])
 
 
 # alternating rounds
