@@ -7,7 +7,7 @@ from typing import Annotated
 from bake.options import BakeOptions
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
-from files.whole import check_file
+from files.whole import check_file, exclusive_lock
 
 HELP = """Bake a trained run into one avatar file.
 
@@ -44,5 +44,6 @@ def main(argv: list[str]) -> int:
     check_file(command.out)
     from bake.bake import bake
 
-    bake(command.run, command.out, command.options, capture=command.capture)
+    with exclusive_lock(command.out):
+        bake(command.run, command.out, command.options, capture=command.capture)
     return 0

@@ -151,6 +151,38 @@ def check_apart(path: Path | str, *read: Path | None) -> None:
             raise AssetError(f"{path}: holds {source}, which is read and would be replaced; choose another place")
 
 
+@contextmanager
+def exclusive_lock(out: Path) -> Iterator[None]:
+    """A lock on an output: two processes that make it would overwrite what the other keeps beside it.
+
+    The lock goes with the process, however it ends.
+
+    Raises:
+        AssetError: another process is at it, or the folder cannot be written to.
+    """
+    path = out.with_name(f".{out.name}.lock")
+    try:
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be written: {error.strerror}") from None
+    try:
+        held = locked(file)
+        if held is None:  # no locks here
+            yield
+            return
+        if not held:
+            who = os.read(file, 20).decode("ascii", "replace").strip() or "unknown"
+            raise AssetError(f"{out}: process {who} is making it; wait for it, or choose another -o")
+        os.ftruncate(file, 0)
+        os.write(file, f"{os.getpid()}\n".encode())
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+    finally:
+        os.close(file)
+
+
 def is_free(folder: Path) -> bool:
     """Whether nothing is at a place, or an empty folder. What a killed process of ours left unfinished in it goes."""
     if not os.path.lexists(folder):

@@ -23,7 +23,7 @@ from command.errors import AssetError
 from command.progress import clock_time
 from command.stages import Stage, as_word, command, run_stages
 from files.input_file import read_json_object
-from files.whole import check_file, is_free, whole_file, write_json
+from files.whole import check_file, exclusive_lock, is_free, whole_file, write_json
 
 # steps a part of the short training; those of a head alone and of a long training are the presets' own
 SHORT = 250
@@ -230,6 +230,13 @@ def main(argv: Sequence[str]) -> int:
     wanted = parse(MakeCommand, argv, ABOUT)
     check_file(wanted.out)
     wanted.reading.check()
+    with exclusive_lock(wanted.out):
+        make(wanted)
+    return 0
+
+
+def make(wanted: MakeCommand) -> None:
+    """Make the avatar, from where an earlier call was stopped."""
     if wanted.camera is not None:
         wanted = film_yourself(wanted)
     claim(wanted)
@@ -240,4 +247,3 @@ def main(argv: Sequence[str]) -> int:
     before = [] if stages[-1].name in ran else made[:-1]
     if not wanted.out.exists() or any(filecmp.cmp(wanted.out, avatar, shallow=False) for avatar in before):
         published(made[-1], wanted.out, time.monotonic())
-    return 0

@@ -4,8 +4,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 from capture.folder import capture_files
 from command.errors import AssetError
 from files.input_file import read_json_object
-from files.whole import check_folder, locked, write_json
+from files.whole import check_folder, write_json
 
 FILE = "session.json"
 
@@ -48,38 +47,6 @@ def capture_place(capture: Path, run: Path) -> dict[str, str]:
 def digest_of(facts: dict[str, Any]) -> str:
     """Tells one preset's numbers from another's."""
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:12]
-
-
-@contextmanager
-def exclusive_lock(out: Path) -> Iterator[None]:
-    """A lock on a run folder: two processes training into it would overwrite each other's checkpoints.
-
-    The lock goes with the process, however it ends.
-
-    Raises:
-        AssetError: another process is at it, or the folder cannot be written to.
-    """
-    path = out.with_name(f".{out.name}.lock")
-    try:
-        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    except OSError as error:
-        raise AssetError(f"{path}: cannot be written: {error.strerror}") from None
-    try:
-        held = locked(file)
-        if held is None:  # no locks here
-            yield
-            return
-        if not held:
-            who = os.read(file, 20).decode("ascii", "replace").strip() or "unknown"
-            raise AssetError(f"{out}: process {who} is training into it; wait for it, or choose another -o")
-        os.ftruncate(file, 0)
-        os.write(file, f"{os.getpid()}\n".encode())
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
-    finally:
-        os.close(file)
 
 
 def open_session(

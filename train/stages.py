@@ -31,7 +31,7 @@ from command.interrupt import prompt_stop
 from command.progress import Progress, ProgressBoard, Reporter
 from command.settings import settings_json
 from command.workers import run_jobs
-from files.whole import whole_folder
+from files.whole import exclusive_lock, whole_folder
 from train import run as run_folder
 from train.command import TrainOptions
 from train.compose import HeadPlacement, TrainedParts, compose, consistent_placement, landmark_placement, timed
@@ -41,7 +41,7 @@ from train.light import video_light
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset, chosen_preset
 from train.seen import seen_parts
-from train.session import Session, capture_digest, capture_place, digest_of, exclusive_lock, open_session
+from train.session import Session, capture_digest, capture_place, digest_of, open_session
 from train.trainer import Checkpoints, Watch, peak_memory
 from train.union import read_rays
 

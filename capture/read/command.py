@@ -16,7 +16,7 @@ from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.progress import progress
 from command.settings import Above, AtLeast, AtMost, OneOf
-from files.whole import check_folder
+from files.whole import check_folder, exclusive_lock
 
 Frames = Annotated[int, AtLeast(1), AtMost(1_000_000), "most frames of a video"]
 
@@ -149,8 +149,6 @@ def _import_video(command: VideoCommand) -> list[str]:
     from capture.read.video import VideoImport, import_video
 
     reading = command.reading
-    reading.check()
-    check_folder(command.out, *command.videos)
     files, face = find_videos(command.videos), face_film(command.videos)
     beside = files["body"].parent / "keypoints"
     if reading.keypoints != "auto":
@@ -194,7 +192,10 @@ def main(argv: Sequence[str]) -> int:
         )  # fmt: skip
     elif kind == "video":
         command = parse(VideoCommand, rest, FILMED)
-        notes = _import_video(command)
+        command.reading.check()
+        check_folder(command.out, *command.videos)
+        with exclusive_lock(command.out):
+            notes = _import_video(command)
     else:
         parser = argparse.ArgumentParser(prog="selfscan import", usage=argparse.SUPPRESS)
         parser.error(f"KIND: expected video, totalselfscan or easymocap, found {kind or 'nothing'}; see --help")

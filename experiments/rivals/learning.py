@@ -22,11 +22,10 @@ from command.interrupt import Stopped, deferred_stop
 from command.progress import Progress
 from experiments.rivals.density import DensityField, Frame, Scene, render
 from files.input_file import read_json_object, unusable
-from files.whole import check_folder, whole_folder, write_json
+from files.whole import check_folder, exclusive_lock, whole_folder, write_json
 from train.loss import color_loss, color_norm_loss, mask_loss
 from train.run import RIVAL
 from train.session import FILE as SESSION
-from train.session import exclusive_lock
 from train.trainer import Position, flushed_denormals, load_checkpoint, save_checkpoint
 from train.weight_file import read_weights
 

@@ -14,7 +14,7 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from command.errors import AssetError, missing_package
 from command.progress import Progress, plural, progress
-from files.whole import check_file, check_folder, write_json
+from files.whole import check_file, check_folder, exclusive_lock, write_json
 from player.budget.ladder import choice_words
 from player.budget.measure import BudgetScene
 from player.budget.rung import Rung
@@ -96,7 +96,8 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
     if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
         film_at_once(command, shot, stage, context)
     else:
-        film_in_parts(command, shot, stage, context)
+        with exclusive_lock(Path(command.output)):
+            film_in_parts(command, shot, stage, context)
 
 
 def buy_rung(command: RenderCommand, stage: Stage, context: Context, fit: Fit | None, start: int, stop: int) -> Rung:

@@ -29,7 +29,7 @@ from capture.raw.webcam import Webcam
 from capture.read.command import FilmOptions
 from command.errors import AssetError
 from command.interrupt import Stopped, deferred_stop
-from files.whole import whole_file
+from files.whole import exclusive_lock, whole_file
 from player.window.picture_window import PictureWindow
 from selfscan import make
 from selfscan.__main__ import COMMANDS, main
@@ -231,6 +231,23 @@ def test_a_folder_that_is_named_and_absent_is_refused_before_anything_is_made(fi
     for words in (("make", films), ("import", "video", films)):
         said = f"--{option} {absent}: expected a folder, found none"
         refused(capsys, *words, "-o", tmp_path / "me.glb", f"--{option}", absent, names=(said,))
+    assert list(tmp_path.iterdir()) == [films]
+
+
+@pytest.mark.parametrize(
+    ("words", "out"),
+    [
+        (("make", "me"), "me.glb"),
+        (("import", "video", "me"), "capture"),
+        (("bake", "me"), "me.glb"),
+        (("render", "builtin", "--motion", "counting", "--frames", "0:2", "--size", "64x64", "--resume"), "me.mp4"),
+    ],
+)
+def test_what_another_process_is_making_is_left_alone(films, tmp_path, monkeypatch, capsys, words, out):
+    monkeypatch.chdir(tmp_path)
+    said = f"{out}: process {os.getpid()} is making it; wait for it, or choose another -o"
+    with exclusive_lock(Path(out)):
+        refused(capsys, *words, "-o", out, names=(said,))
     assert list(tmp_path.iterdir()) == [films]
 
 

@@ -20,13 +20,13 @@ from sphere_field import assert_same_bits
 
 from command.errors import AssetError
 from command.settings import SettingsSource, record_of, settings_json
-from files.whole import whole_folder
+from files.whole import exclusive_lock, whole_folder
 from train import stages
 from train.command import ITEM_NAMES, PRESET_NAMES, TrainOptions
 from train.distributed import ONE_PROCESS, Ranks
 from train.log import TrainingLog
 from train.preset import DEMO, ITEMS, PRESETS, Preset
-from train.session import FILE, capture_digest, exclusive_lock, open_session
+from train.session import FILE, capture_digest, open_session
 from train.stages import train
 
 TESTS = Path(__file__).parents[1]
@@ -196,7 +196,7 @@ def test_the_paper_presets_are_named_and_finished_runs_replaced_by_force_alone(t
 
 def test_two_processes_do_not_train_into_one_folder(tiny_capture, tmp_path):
     out = tmp_path / "run"
-    with exclusive_lock(out), pytest.raises(AssetError, match=rf"process {os.getpid()} is training into it"):
+    with exclusive_lock(out), pytest.raises(AssetError, match=rf"process {os.getpid()} is making it"):
         train(TrainOptions(capture=tiny_capture, out=out), DEMO)
     assert list(tmp_path.iterdir()) == []
     with exclusive_lock(out):  # the lock went with its holder
