@@ -18,6 +18,7 @@ from numpy import ndarray as Array
 
 from command.errors import AssetError
 from files.npz import read_npz
+from geometry.decimate import MOST_FACES
 
 # square metres of a chart at most, times its part's density squared: larger ones are squeezed, slow and hard to pack
 CHART_AREA = 0.15
@@ -51,8 +52,8 @@ def unwrap(
     Raises:
         AssetError: the unwrapper did not end within `seconds` of processor time, failed, or lost triangles.
     """
-    if len(faces) > 200_000:
-        raise ValueError(f"{len(faces)} triangles to unwrap: at most 200000, decimate first")
+    if len(faces) > MOST_FACES:
+        raise ValueError(f"{len(faces)} triangles to unwrap: at most {MOST_FACES}, decimate first")
     if not np.isfinite(vertices).all():
         raise ValueError("vertices to unwrap are not finite")
     with tempfile.TemporaryDirectory() as folder:

@@ -92,7 +92,8 @@ def decimate(
     problems: list[str] = []
     best: tuple[float, TriangleMesh] | None = None
     for share in (*RETRIES, *FINER):
-        if share in FINER and best is not None and best[0] <= BEARABLE:
+        # a collapse ends within a hundredth of its target
+        if share in FINER and (1.01 * share * target > MOST_FACES or (best is not None and best[0] <= BEARABLE)):
             break
         try:
             collapsed, lost = _collapsed(TriangleMesh(grown, mesh.faces), max(4, int(share * target)))
@@ -118,6 +119,8 @@ def decimate(
 # multiples of the target, in this order
 RETRIES = (1.0, 1.03, 0.96, 1.1, 1.2, 0.9)
 FINER = (1.5, 2.0, 3.0, 5.0)
+# triangles, more than which no level may have: the unwrapper of charts would take minutes
+MOST_FACES = 200_000
 # shares of the area
 LOST = 0.003
 BEARABLE = 0.015

@@ -351,6 +351,11 @@ def test_what_no_target_holds_is_collapsed_less_and_no_attempt_that_holds_is_an_
         geometry.decimate, "_collapsed", lambda mesh, aim: (honest(mesh, aim)[0], 0.0 if aim > 150 else 0.03)
     )
     assert 150 < len(decimate(ball_mesh(step=0.008), 100).faces) <= 200
+    lines = []
+    # what cannot be unwrapped is not tried: the loss is borne and reported
+    monkeypatch.setattr(geometry.decimate, "MOST_FACES", 150)
+    assert len(decimate(ball_mesh(step=0.008), 100, report=lines.append).faces) <= 120
+    assert len(lines) == 1 and lines[0].endswith("pinched off 3.0 % of the surface")
     monkeypatch.undo()
 
     def hopeless(points, faces, target_count, agg):
