@@ -3,6 +3,7 @@
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +35,13 @@ def greys(levels=range(0, 250, 50)) -> list[np.ndarray]:
     return [np.full((48, 64, 3), level, np.uint8) for level in levels]
 
 
-def film(path: Path, pictures: Sequence[np.ndarray] = greys(), metadata: Mapping[str, str] = {}) -> None:
-    """Pictures of one size at 25 a second, and what a phone writes beside them."""
+def film(
+    path: Path,
+    pictures: Sequence[np.ndarray] = greys(),
+    metadata: Mapping[str, str] = {},
+    aspect: Fraction = Fraction(1),
+) -> None:
+    """Pictures of one size at 25 a second, what a phone writes beside them, and a pixel's width over its height."""
     import av
 
     kind, settings = ("mpeg4", {}) if path.suffix == ".avi" else ("libx264", {"crf": "4", "bf": "2"})
@@ -43,7 +49,7 @@ def film(path: Path, pictures: Sequence[np.ndarray] = greys(), metadata: Mapping
         container.metadata.update(metadata)
         stream = container.add_stream(kind, rate=25, options=settings)
         stream.height, stream.width = pictures[0].shape[:2]
-        stream.pix_fmt = "yuv420p"
+        stream.pix_fmt, stream.codec_context.sample_aspect_ratio = "yuv420p", aspect
         for picture in pictures:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "rgb24")))
         container.mux(stream.encode(None))

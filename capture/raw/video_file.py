@@ -17,6 +17,10 @@ WHAT = "a video (H.264 or H.265 in .mp4 or .mov, as a phone writes it)"
 MOST_FRAMES = 216_000
 # one side over the other; phones have 2.4 at most
 LONGEST_SHAPE = 4
+# a pixel's width over its height, from 1: coders round
+SQUARE = 0.01
+# transfer curves of HDR (ITU-T H.273: PQ, HLG); with BT.2020's colors shown as they are, skin is grey and white is not
+HDR, BT709 = (16, 18), 1
 EQUIVALENT = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 # millimetres: diagonal of 36 x 24, and lenses that are believed
 DIAGONAL_35, LENSES = 43.27, (8.0, 400.0)
@@ -62,6 +66,7 @@ def open_video(path: Path | str) -> VideoFile:
             _check_size(path, stream.codec_context.width, stream.codec_context.height)
             rate = float(stream.average_rate or stream.guessed_rate or 0)
             count = stream.frames or round(rate * float(container.duration or 0) / 1e6)
+            aspect = float(stream.sample_aspect_ratio or 1)
             first = next(container.decode(stream), None)
             written = {**container.metadata, **stream.metadata}
     except (FFmpegError, ValueError, OSError) as error:
@@ -69,6 +74,9 @@ def open_video(path: Path | str) -> VideoFile:
     if first is None:
         raise AssetError(f"{path}: expected {WHAT}, found no frame")
     _check_size(path, first.width, first.height)
+    if abs(aspect - 1) > SQUARE:
+        raise AssetError(f"{path}: expected square pixels, found them {aspect:.3g} times as wide as high; write it "
+                         "anew (ffmpeg -vf scale=iw*sar:ih,setsar=1), and find its keypoints then")  # fmt: skip
     if not 1 <= rate <= 1000:
         raise AssetError(f"{path}: expected 1 to 1000 frames a second, found {rate:g}")
     turns = round(first.rotation / 90) % 4
@@ -101,13 +109,18 @@ def focal_written(metadata: Mapping[str, str], size: tuple[int, int]) -> float |
 def read_frames(
     video: VideoFile, height: int | None = None, *, grey: bool = False, only: frozenset[int] | None = None
 ) -> Iterator[VideoFrame]:
-    """The frames of a video, RGB or `grey`, `height` pixels high (None: as they are); of `only` these numbers.
+    """The frames of a video, sRGB or `grey`, `height` pixels high (None: as they are); of `only` these numbers.
+
+    HDR is brought to the colors and the white of other films; `grey` stays as it is stored.
 
     Raises:
         AssetError: the file breaks off in the middle.
     """
     from av.error import FFmpegError
+    from av.video.reformatter import VideoReformatter
 
+    # one for all frames: HDR's table of colors takes a second
+    reformat = VideoReformatter().reformat
     scale = 1.0 if height is None else height / video.size[1]
     size = tuple(max(2, round(side * scale)) for side in video.size)
     stored = size if video.quarter_turns % 2 == 0 else size[::-1]
@@ -123,7 +136,10 @@ def read_frames(
                     break
                 if only is not None and number not in only:
                     continue
-                picture = frame.to_ndarray(format="gray" if grey else "rgb24", width=stored[0], height=stored[1])
+                shown = BT709 if frame.color_trc in HDR and not grey else None
+                picture = reformat(
+                    frame, *stored, "gray" if grey else "rgb24", dst_color_trc=shown, dst_color_primaries=shown
+                ).to_ndarray()
                 time = number / video.rate if frame.time is None or begin is None else frame.time - begin
                 yield VideoFrame(number, time, np.ascontiguousarray(np.rot90(picture, video.quarter_turns)))
     except (FFmpegError, ValueError, OSError) as error:
