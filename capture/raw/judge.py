@@ -2,9 +2,10 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 from scipy import ndimage
 
@@ -20,6 +21,8 @@ BORDER = 0.012
 NEAR = 6.0
 # pixels of 1080 that the camera may move
 STILL = 3.0
+# of pictures four times smaller: pixels that a jump of the camera is looked for over, and fewest that tell it
+REACH, FEWEST_PIXELS = 8, 60
 # seconds that the empty beginning or end has at least, and that are left out beside the person
 EMPTY, BESIDE = 0.3, 0.35
 # grey levels between frames of an empty room: noise of the sensor and of the encoder, averaged
@@ -201,7 +204,8 @@ def empty_frames(at: Glance) -> Bool[Array, "frames"]:
 def camera_moves(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "stands"] | None:
     """How far the room has shifted at some frames through the video, pixels; None: it shows too little.
 
-    Least squares on brightness (Lucas and Kanade 1981), away from the person, with a gain for the exposure.
+    Least squares on brightness (Lucas and Kanade 1981), away from the person, with a gain for the exposure; they follow
+    a few pixels, further jumps are looked for.
     """
     stands = spread_frames(len(at.times), STANDS)
     first = at.small[empty][:15] if empty.any() else at.small[stands[:1]]
@@ -224,6 +228,9 @@ def camera_moves(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "stan
         # along a direction without detail no shift is seen
         if np.linalg.eigvalsh(a[:, :2].T @ a[:, :2] / len(a)).min() < 0.3:
             continue
+        shifts[n] = _jump(room, at.small[i], free)
+        if shifts[n].any():
+            continue
         b = ndimage.gaussian_filter(at.small[i].astype(np.float32), 0.5)[free]
         weight = np.ones(len(a))
         solution = np.zeros(4)
@@ -235,6 +242,26 @@ def camera_moves(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "stan
     if not shifts.any():
         return None
     return np.linalg.norm(shifts, axis=1) * at.scale
+
+
+def _jump(
+    room: Float[Array, "height width"], picture: UInt8[Array, "height width"], free: Bool[Array, "height width"]
+) -> Float[Array, "2"]:
+    """The shift of a picture from the room, right and down, that leaves less than half of their difference where it is
+    `free`; 0: none does."""
+    height, width = (side // 4 for side in room.shape)
+    a, b, seen = (
+        values[: 4 * height, : 4 * width].reshape(height, 4, width, 4).mean((1, 3)) for values in (room, picture, free)
+    )
+    a = np.pad(a, REACH, constant_values=np.nan)
+    left: dict[tuple[int, int], float] = {}
+    for down, right in product(range(-REACH, REACH + 1), repeat=2):
+        there = a[REACH - down :][:height, REACH - right :][:, :width]
+        off = (b - there)[(seen == 1) & np.isfinite(there)]
+        if len(off) >= FEWEST_PIXELS:
+            left[right, down] = float(np.abs(off - np.median(off)).mean())
+    best = min(left, key=lambda shift: left[shift], default=(0, 0))
+    return 4.0 * np.array(best) * (left.get(best, 0.0) < 0.5 * left.get((0, 0), 0.0))
 
 
 def _columns(at: Glance, wanted: tuple[str, ...]) -> list[int]:

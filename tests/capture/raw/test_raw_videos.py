@@ -3,7 +3,9 @@
 import pickle
 import re
 from dataclasses import replace
+from fractions import Fraction
 
+import av
 import numpy as np
 import pytest
 from filmed_figure import ABSENT, FRAMES, SIZE, film, wall
@@ -69,6 +71,32 @@ def test_a_video_held_upright_is_turned_as_its_file_says(tmp_path):
     assert frame.picture.shape == (64, 48, 3)
     # what was above on the left is above on the right
     assert frame.picture[:30, 26:].mean() > 240 and frame.picture[:30, :22].mean() < 15
+
+
+def test_a_film_in_hdr_has_the_white_and_the_colors_of_others(tmp_path):
+    """HLG's 75 % is white (ITU-R BT.2408), .265 of the brightest light; half as bright, sRGB's red in BT.2020."""
+    red = np.sqrt(3 * 0.5 * 0.265 * np.array([0.6274, 0.0691, 0.0164]))
+    picture = np.repeat(np.repeat([[(0.75, 0.75, 0.75), red]], 48, 0), 32, 1)
+    path = tmp_path / "body.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv444p10le"
+        tagged = stream.codec_context
+        tagged.colorspace, tagged.color_range, tagged.color_primaries, tagged.color_trc = 9, 1, 9, 18
+        frame = av.VideoFrame.from_ndarray((65535 * picture).astype(np.uint16), format="rgb48le")
+        frame = frame.reformat(format="yuv444p10le", dst_colorspace=9, dst_color_range=1)
+        frame.pts, frame.time_base = 0, Fraction(1, 30)
+        container.mux([*stream.encode(frame), *stream.encode(None)])
+    (frame,) = read_frames(open_video(path))
+    assert frame.picture[10:40, 4:28].min() >= 253
+    red = frame.picture[10:40, 36:60].mean((0, 1))
+    assert red[0] > 150 and red[1:].max() < 20
+
+
+def test_pixels_that_are_not_square_are_refused(tmp_path):
+    path = tmp_path / "body.mp4"
+    small_film(path, aspect=Fraction(4, 3))
+    refused(AssetError, r"body\.mp4: expected square pixels, found them 1\.33 times as wide as high", open_video, path)
 
 
 @pytest.mark.parametrize(("written", "focal"), [("26", 26 / 43.27 * 80), (None, None), ("wide", None), ("0", None)])
@@ -178,6 +206,15 @@ def judged_with(at, **changed):
 def test_what_spoils_a_video_is_said_with_what_to_do(tmp_path, changed, expected):
     film(tmp_path, "body", "body", **changed)
     assert re.search(expected, said(judged(tmp_path)))
+
+
+def test_a_phone_that_is_knocked_over_a_large_way_is_a_moving_camera(body):
+    """Least squares on brightness follow a few pixels alone."""
+    at = body[2].glance
+    small, pixels = at.small.copy(), at.keypoints.pixels.copy()
+    small[60:], pixels[60:] = np.roll(small[60:], 16, axis=2), pixels[60:] + (18, 0)
+    (problem,) = judge(replace(at, small=small, keypoints=replace(at.keypoints, pixels=pixels))).problems
+    assert problem.fatal and re.match(r"the camera moves, by 18 pixels from 2\.\d s on", problem.what)
 
 
 @pytest.mark.parametrize(("quarter", "side"), [(1, "right"), (-1, "left")])
