@@ -100,7 +100,9 @@ def claim(wanted: MakeCommand) -> None:
     films = [[str(film.resolve()), film.stat().st_size] for film in (*named.values(), *([face] if face else []))]
     asked = {"films": films, "reading": words_of(wanted.reading)}
     note = wanted.work / "make.json"
-    if not is_free(wanted.work) and os.listdir(wanted.work) != [note.name]:
+    if not is_free(wanted.work) and not note.exists():
+        raise AssetError(f"{wanted.work}: is in the way, and not the work of `selfscan make`; remove or rename it")
+    if note.exists() and os.listdir(wanted.work) != [note.name]:
         before = read_json_object(note, "what `selfscan make` was asked for")
         if before != asked:
             words = " ".join(map(str, before.get("reading") or ["none"]))

@@ -14,6 +14,7 @@ from capture.raw.judge import Verdict, verdict_of
 from capture.read.face_film import open_face_film, shown_line
 from capture.videos import even
 from command.errors import AssetError
+from command.stages import as_word
 from files.whole import check_file, check_folder, whole_file, write_json
 
 
@@ -66,7 +67,7 @@ def _check_videos(arguments: CheckCommand) -> int:
 
 def _then(judged: Verdict, *words: str | Path) -> list[str]:
     """The command that comes next, where there is one."""
-    return [f"then: {shlex.join(['selfscan', *map(str, words)])}"] if judged.usable else []
+    return [f"then: {shlex.join(['selfscan', *map(as_word, words)])}"] if judged.usable else []
 
 
 def _write_facts(arguments: CheckCommand, facts: dict) -> None:

@@ -28,7 +28,7 @@ NAMES = {
 FACE_FILM = "face"
 # a part's height over that of the box round a person's keypoints
 SHARES = {"head": 0.14, "hand_left": 0.11, "hand_right": 0.11}
-ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".webm")
+ENDINGS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
 # fields of what was seen of a video that are kept
 SEEN = ("times", "small", "sharpness")
 KEYPOINTS = f"{WHAT} of body, head, hand_left and hand_right"
@@ -53,8 +53,9 @@ def face_film(paths: Sequence[Path]) -> Path | None:
 
 
 def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
-    """The videos by part: the body's alone; four files in the order body, head, left, right; two or three that are
-    called so; or a folder that holds the body's and any of the others, or one film alone. A film of a face is left out.
+    """The videos by part: files that are called so, the body's among them; of other names the body's alone, or four in
+    the order body, head, left, right; or a folder that holds the body's and any of the others, or one film alone. A
+    film of a face is left out.
 
     Raises:
         AssetError: nothing is there, the body's is missing, a name says no part, or two files are one film.
@@ -69,10 +70,11 @@ def find_videos(paths: Sequence[Path]) -> dict[str, Path]:
         if "body" not in out:
             raise AssetError(f"{paths[0]}: expected body.mp4, and head.mp4, left.mp4, right.mp4 as far as "
                              f"filmed, found {', '.join(p.name for p in films) or 'no film'}")  # fmt: skip
-    elif len(films := [path for path in paths if path != face]) in (1, len(PARTS)):
-        out = {str(part): path for part, path in zip(PARTS, films)}
     else:
+        films = [path for path in paths if path != face]
         out = named_parts(films)
+        if len(out) < len(films) and len(films) in (1, len(PARTS)):
+            out = {str(part): path for part, path in zip(PARTS, films)}
         if "body" not in out or len(out) < len(films):
             found = ", ".join(path.name for path in paths)
             raise AssetError(f"expected BODY HEAD LEFT RIGHT, or files called body, head, left, right; found {found}")
@@ -101,10 +103,8 @@ def unfilmed_lines(videos: Mapping[str, Judged]) -> list[str]:
 
 
 def holds_videos(folder: Path) -> bool:
-    """Whether this is a video, or a folder that has one in it and is no capture folder."""
-    if folder.suffix.lower() in ENDINGS and folder.is_file():
-        return True
-    return folder.is_dir() and not (folder / "capture.json").exists() and bool(films_in(folder))
+    """Whether this is a file, which no capture is, or a folder that has a video in it and is no capture folder."""
+    return folder.is_file() or (folder.is_dir() and not (folder / "capture.json").exists() and bool(films_in(folder)))
 
 
 def all_keypoints(folder: Path, videos: Mapping[str, VideoFile]) -> dict[str, Keypoints]:

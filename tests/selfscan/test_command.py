@@ -311,6 +311,15 @@ def test_an_avatar_that_was_moved_away_is_put_there_again_and_other_films_are_no
         make.main([str(films), "-o", str(out), "--minutes", "4", "--stature", "1.8"])
 
 
+@pytest.mark.parametrize("folder", [True, False])
+def test_what_is_no_work_of_its_own_is_left_alone(films, tmp_path, folder):
+    place = tmp_path / "me.making"
+    (place.mkdir() or (place / "mine").touch()) if folder else place.touch()
+    with pytest.raises(AssetError, match=r"me\.making: is in the way, and not the work of `selfscan make`; remove or"):
+        make.main([str(films), "-o", str(tmp_path / "me.glb")])
+    assert (place / "mine").exists() or place.is_file()
+
+
 def test_options_may_change_until_something_was_made(films, monkeypatch, tmp_path):
     monkeypatch.setattr(make, "command", lambda *words: lambda: 1)
     for options in ([], ["--stature", "1.8"]):

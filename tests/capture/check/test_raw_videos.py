@@ -1,13 +1,16 @@
 """What `check` says of videos as they were filmed."""
 
 import json
+from pathlib import Path
 
 import pytest
 from filmed_figure import film_anew
 from refusals import refused
 
+from capture.check.command import _then
 from capture.check.options import main
 from capture.raw.four_videos import find_videos, holds_videos
+from capture.raw.judge import verdict_of
 from command.errors import AssetError
 
 
@@ -44,6 +47,15 @@ def test_films_are_told_apart_by_name_or_order_and_none_is_given_twice(tmp_path)
         file.write_bytes(file.name.encode())
     assert find_videos(files) == find_videos([tmp_path]) == dict(zip(("body", "hand_left", "head"), files))
     assert find_videos(files[:1]) == {"body": files[0]}
+    # names say more than the order: `me/*.mp4` is body, hand_left, hand_right, head
+    four = [tmp_path / name for name in ("body.mp4", "hand_left.MP4", "hand_right.avi", "head.mp4")]
+    for file in four[1:3]:
+        file.write_bytes(file.name.encode())
+    found = dict(zip(("body", "head", "hand_left", "hand_right"), (four[0], four[3], *four[1:3])))
+    assert find_videos(four) == found
+    refused(AssetError, r"called body, head, left, right; found head.mp4", find_videos, four[3:])
+    for file in four[1:3]:
+        file.unlink()
     other = tmp_path / "IMG_7.mov"
     refused(AssetError, r"IMG_7.mov: expected a film, or a folder of them, found nothing", find_videos, [other])
     other.touch()
@@ -67,8 +79,15 @@ def test_films_as_a_phone_names_them_are_found(tmp_path):
     assert find_videos([tmp_path])["body"].name == "body.mp4"
 
 
+def test_a_name_that_begins_with_a_dash_is_no_option_of_the_command_that_comes_next():
+    assert _then(verdict_of([]), "make", Path("-body.mp4")) == ["then: selfscan make ./-body.mp4"]
+
+
 def test_a_folder_with_neither_films_nor_a_capture_says_what_was_expected(tmp_path):
     refused(AssetError, r"expected a capture, .* or films \(body.mp4, .*\), found neither", main, [str(tmp_path)])
+    (tmp_path / "me.gif").write_bytes(b"GIF89a")
+    (tmp_path / "keypoints").mkdir()
+    refused(AssetError, r"me.gif: expected a video .*, found a file that begins", main, [str(tmp_path / "me.gif")])
 
 
 def test_without_keypoints_it_says_which_are_needed(filmed_four, tmp_path):
