@@ -137,8 +137,9 @@ def read_frames(
                 if only is not None and number not in only:
                     continue
                 shown = BT709 if frame.color_trc in HDR and not grey else None
+                format = "gray" if grey else "rgb24"
                 picture = reformat(
-                    frame, *stored, "gray" if grey else "rgb24", dst_color_trc=shown, dst_color_primaries=shown
+                    frame, stored[0], stored[1], format, dst_color_trc=shown, dst_color_primaries=shown
                 ).to_ndarray()
                 time = number / video.rate if frame.time is None or begin is None else frame.time - begin
                 yield VideoFrame(number, time, np.ascontiguousarray(np.rot90(picture, video.quarter_turns)))

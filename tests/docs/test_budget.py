@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_277,
     "avatar": 9_382,
     "geometry": 1_702,
-    "capture": 13_444,
+    "capture": 13_445,
     "train": 5_360,
     "bake": 6_761,
     "player": 19_627,
