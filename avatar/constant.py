@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import cache, wraps
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import ParamSpec, TypeVar, cast
 
 from numpy import ndarray as Array
 
@@ -23,7 +23,7 @@ def constant(make: Callable[P, T]) -> Callable[P, T]:
     return cast(Callable[P, T], cache(made))
 
 
-def _close(value: Any) -> None:
+def _close(value: object) -> None:
     if isinstance(value, Array):
         value.flags.writeable = False
     elif is_dataclass(value):

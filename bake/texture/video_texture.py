@@ -349,11 +349,12 @@ def limbs_of(
 ) -> tuple[Integer[Array, "points 2"], Float[Array, "points"]]:
     """The two joints that move each place most, and how much of it goes over to the second, half of it at most; under
     the chin the neck's is first, where the head's share is not whole. Nothing goes over to what is no limb."""
-    head, of_head = JOINTS.index("head"), place.of(share[:, [JOINTS.index("head")]])[:, 0]
+    head = JOINTS.index("head")
+    of_head = place.of(share[:, [head]])[:, 0]
     limbs, most = np.zeros((2, len(of_head)), np.int64), np.zeros((2, len(of_head)))
     for joint in np.flatnonzero(np.arange(len(JOINTS)) != head):
         own = place.of(share[:, [joint]])[:, 0]
-        # to the second place, which what was first falls to
+        # the larger of the two is first; the other may be second
         own, fallen = np.where(own > most[0], (own, most[0]), (most[0], own))
         limbs[1] = np.where(own > most[0], limbs[0], np.where(fallen > most[1], joint, limbs[1]))
         limbs[0] = np.where(own > most[0], joint, limbs[0])

@@ -21,7 +21,7 @@ BORDER = 0.012
 NEAR = 6.0
 # pixels of 1080 that the camera may move
 STILL = 3.0
-# of pictures four times smaller: pixels that a jump of the camera is looked for over, and fewest that tell it
+# a jump of the camera is looked for in pictures four times smaller: over so many pixels, from so many at least
 REACH, FEWEST_PIXELS = 8, 60
 # seconds that the empty beginning or end has at least, and that are left out beside the person
 EMPTY, BESIDE = 0.3, 0.35
