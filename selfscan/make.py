@@ -5,6 +5,7 @@ same command goes on. OUT.making beside the avatar holds what they leave.
 """
 
 import filecmp
+import hashlib
 import os
 import shlex
 import shutil
@@ -89,7 +90,7 @@ def words_of(reading: FilmOptions) -> list[str]:
 
 
 def claim(wanted: MakeCommand) -> None:
-    """Make the folder of the work, or go on in it where it is of the same films, read the same way.
+    """Make the folder of the work, or go on in it where it is of the same films and keypoints, read the same way.
 
     Raises:
         AssetError: it is of others, or the films are not told apart.
@@ -98,7 +99,12 @@ def claim(wanted: MakeCommand) -> None:
 
     named, face = find_videos(wanted.films), face_film(wanted.films)
     films = [[str(film.resolve()), film.stat().st_size] for film in (*named.values(), *([face] if face else []))]
-    asked = {"films": films, "reading": words_of(wanted.reading)}
+    given = wanted.reading.keypoints
+    points = named["body"].parent / "keypoints" if given == "auto" else Path(given)
+    sizes = sorted((path.name, path.stat().st_size) for path in points.rglob("*") if path.is_file())
+    # anew by another detector, they are hardly as long
+    asked = {"films": films, "keypoints": hashlib.sha256(repr(sizes).encode()).hexdigest()[:16],
+             "reading": words_of(wanted.reading)}  # fmt: skip
     note = wanted.work / "make.json"
     if not is_free(wanted.work) and not note.exists():
         raise AssetError(f"{wanted.work}: is in the way, and not the work of `selfscan make`; remove or rename it")
@@ -106,7 +112,8 @@ def claim(wanted: MakeCommand) -> None:
         before = read_json_object(note, "what `selfscan make` was asked for")
         if before != asked:
             words = " ".join(map(str, before.get("reading") or ["none"]))
-            other = "films" if before.get("films") != films else f"options ({words})"
+            names = {"films": "films", "keypoints": "keypoints", "reading": f"options ({words})"}
+            other = next(name for field, name in names.items() if before.get(field) != asked[field])
             raise AssetError(f"{wanted.work}: holds the work on other {other}: remove it, or choose another -o")
     wanted.work.mkdir(exist_ok=True)
     write_json(note, asked)

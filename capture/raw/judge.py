@@ -1,6 +1,6 @@
 """Can these videos become a person? What is found is said so that it can be acted on: what, when, what to do."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -27,6 +27,8 @@ REACH, FEWEST_PIXELS = 8, 60
 EMPTY, BESIDE = 0.3, 0.35
 # grey levels between frames of an empty room: noise of the sensor and of the encoder, averaged
 SAME = 6.0
+# grey levels beside the person, the median after exposure, from which it is another room; what is darker is none
+OTHER = 20.0
 # frames that the camera's stand is looked at in
 STANDS = 24
 # share of a video's usual sharpness: a frame below is blurred
@@ -165,6 +167,9 @@ def judge(at: Glance) -> Judged:
     if moved is not None and moved.max() > limit:
         first = float(at.times[spread_frames(len(at.times), STANDS)[int(np.argmax(moved > limit))]])
         add(True, f"the camera moves, by {moved.max():.0f} pixels from {first:.1f} s on", "put the phone on a tripod")
+    elif (other := other_room(at, empty)) is not None:
+        what = "the empty room" if empty.any() else "the first frame"
+        add(True, f"from {other:.1f} s on another room is seen than in {what}", "give a film without cuts or titles")
     if not empty.any():
         advice = "masks without it are rough: film a second of it before you step in, or bring masks of another tool"
         add(False, "the empty room is in no frame", advice)
@@ -194,6 +199,9 @@ def empty_frames(at: Glance) -> Bool[Array, "frames"]:
     frames = at.small[run].astype(np.float32)
     # a person whom the detector does not see yet changes a part of the picture
     room = np.median(frames[:: max(1, len(frames) // 15)], axis=0)
+    # a title, or a lens that is covered
+    if room.max() < OTHER:
+        return out
     changed = np.abs(frames - room)
     changed -= np.median(changed, axis=(1, 2), keepdims=True)
     still = (changed > SAME).mean((1, 2)) < 0.004
@@ -207,21 +215,10 @@ def camera_moves(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "stan
     Least squares on brightness (Lucas and Kanade 1981), away from the person, with a gain for the exposure; they follow
     a few pixels, further jumps are looked for.
     """
-    stands = spread_frames(len(at.times), STANDS)
-    first = at.small[empty][:15] if empty.any() else at.small[stands[:1]]
-    room = np.median(first, axis=0).astype(np.float32)
+    room = _room(at, empty)
     gx, gy = (ndimage.sobel(ndimage.gaussian_filter(room, 1.0), axis) / 8 for axis in (1, 0))
-    boxes = at.boxes / at.scale
-    shifts = np.zeros((len(stands), 2))
-    reference = None if empty.any() else boxes[stands[0]]
-    for n, i in enumerate(stands):
-        free = np.ones(room.shape, bool)
-        for box in (boxes[i], reference):
-            if box is not None and np.isfinite(box).all():
-                reach = 0.15 * float(max(box[2] - box[0], box[3] - box[1])) + 4
-                left, top, right, bottom = np.clip([*(box[:2] - reach), *(box[2:] + reach)], 0, None).astype(int)
-                free[top:bottom, left:right] = False
-        free[:2], free[-2:], free[:, :2], free[:, -2:] = False, False, False, False
+    shifts = np.zeros((STANDS, 2))
+    for n, (i, free) in enumerate(_stands(at, empty)):
         if free.sum() < 800:
             continue
         a = np.stack([gx[free], gy[free], room[free], np.ones(int(free.sum()))], 1)
@@ -242,6 +239,35 @@ def camera_moves(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "stan
     if not shifts.any():
         return None
     return np.linalg.norm(shifts, axis=1) * at.scale
+
+
+def other_room(at: Glance, empty: Bool[Array, "frames"]) -> float | None:
+    """The second of the first frame most of which, beside the person, is not the room; None: all show it."""
+    room = _room(at, empty)
+    for i, free in _stands(at, empty):
+        off = at.small[i][free] - room[free]
+        if len(off) and np.median(np.abs(off - np.median(off))) > OTHER:
+            return float(at.times[i])
+    return None
+
+
+def _room(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "height width"]:
+    """The room, small: empty, else as in the first frame."""
+    return np.median(at.small[empty][:15] if empty.any() else at.small[:1], axis=0).astype(np.float32)
+
+
+def _stands(at: Glance, empty: Bool[Array, "frames"]) -> Iterator[tuple[int, Bool[Array, "height width"]]]:
+    """Some frames through the video, and the pixels beside the person in them and in the room."""
+    boxes = at.boxes / at.scale
+    for i in spread_frames(len(at.times), STANDS):
+        free = np.zeros(at.small.shape[1:], bool)
+        free[2:-2, 2:-2] = True
+        for box in (boxes[i], *([] if empty.any() else boxes[:1])):
+            if np.isfinite(box).all():
+                reach = 0.15 * float(max(box[2] - box[0], box[3] - box[1])) + 4
+                left, top, right, bottom = np.clip([*(box[:2] - reach), *(box[2:] + reach)], 0, None).astype(int)
+                free[top:bottom, left:right] = False
+        yield int(i), free
 
 
 def _jump(

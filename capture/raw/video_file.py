@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy import ndarray as Array
@@ -11,6 +11,9 @@ from numpy import ndarray as Array
 from command.errors import AssetError
 from files.input_file import open_film
 from files.picture import MAX_PIXELS
+
+if TYPE_CHECKING:
+    import av
 
 WHAT = "a video (H.264 or H.265 in .mp4 or .mov, as a phone writes it)"
 # an hour at 60 frames a second: as many are counted
@@ -21,6 +24,8 @@ LONGEST_SHAPE = 4
 SQUARE = 0.01
 # transfer curves of HDR (ITU-T H.273: PQ, HLG); with BT.2020's colors shown as they are, skin is grey and white is not
 HDR, BT709 = (16, 18), 1
+# a film that does not say how its colors are written has BT.709's from so many lines on, BT.601's below (as players do)
+UNTAGGED, HD = 2, 720
 EQUIVALENT = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 # millimetres: diagonal of 36 x 24, and lenses that are believed
 DIAGONAL_35, LENSES = 43.27, (8.0, 400.0)
@@ -77,11 +82,23 @@ def open_video(path: Path | str) -> VideoFile:
     if abs(aspect - 1) > SQUARE:
         raise AssetError(f"{path}: expected square pixels, found them {aspect:.3g} times as wide as high; write it "
                          "anew (ffmpeg -vf scale=iw*sar:ih,setsar=1), and find its keypoints then")  # fmt: skip
+    if _mirrored(first):
+        raise AssetError(f"{path}: expected a film as others see the person, found one that is to be shown mirrored; "
+                         "write it anew (ffmpeg -vf hflip), and find its keypoints then")  # fmt: skip
     if not 1 <= rate <= 1000:
         raise AssetError(f"{path}: expected 1 to 1000 frames a second, found {rate:g}")
     turns = round(first.rotation / 90) % 4
     size = (first.width, first.height) if turns % 2 == 0 else (first.height, first.width)
     return VideoFile(path, size, turns, rate, max(count, 1), focal_written(written, size))
+
+
+def _mirrored(frame: "av.VideoFrame") -> bool:
+    """Whether a frame is to be shown mirrored, as front cameras write it: by the display matrix (ISO 14496-12)."""
+    for data in frame.side_data:
+        if data.type.name == "DISPLAYMATRIX":
+            (a, b, _), (c, d, _), _ = np.frombuffer(bytes(data), np.int32).reshape(3, 3).astype(float)
+            return a * d < b * c
+    return False
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -137,9 +154,10 @@ def read_frames(
                 if only is not None and number not in only:
                     continue
                 shown = BT709 if frame.color_trc in HDR and not grey else None
+                written = BT709 if frame.colorspace == UNTAGGED and min(video.size) >= HD else None
                 format = "gray" if grey else "rgb24"
                 picture = reformat(
-                    frame, stored[0], stored[1], format, dst_color_trc=shown, dst_color_primaries=shown
+                    frame, stored[0], stored[1], format, written, dst_color_trc=shown, dst_color_primaries=shown
                 ).to_ndarray()
                 time = number / video.rate if frame.time is None or begin is None else frame.time - begin
                 yield VideoFrame(number, time, np.ascontiguousarray(np.rot90(picture, video.quarter_turns)))

@@ -306,6 +306,11 @@ def test_an_avatar_that_was_moved_away_is_put_there_again_and_other_films_are_no
     with pytest.raises(AssetError, match=r"me\.making: holds the work on other films: remove it"):
         make.main([str(films), "-o", str(out), "--minutes", "4"])
     (films / "body.mp4").write_text("body.mp4")
+    (films / "keypoints").mkdir()
+    (films / "keypoints" / "found.json").write_text("by another detector")
+    with pytest.raises(AssetError, match=r"me\.making: holds the work on other keypoints: remove it"):
+        make.main([str(films), "-o", str(out), "--minutes", "4"])
+    (films / "keypoints" / "found.json").unlink()
     (films / "notes.txt").write_text("nothing filmed")
     with pytest.raises(AssetError, match=r"me\.making: holds the work on other options \(none\): remove it"):
         make.main([str(films), "-o", str(out), "--minutes", "4", "--stature", "1.8"])
@@ -391,7 +396,7 @@ def test_killed_at_random_moments_make_goes_on_and_ends_with_the_same_avatar(tmp
     began = time.time()
     assert start_make(films, whole).wait() == 0
     ends = {name: (whole.with_suffix(".making") / name).stat().st_mtime - began for name in PRODUCTS}
-    moments = np.random.default_rng(7).uniform(0, max(ends.values()), int(os.environ.get("SELFSCAN_KILLS", "2")))
+    moments = np.random.default_rng(7).uniform(0, max(ends.values()), int(os.environ.get("SELFSCAN_KILLS", "1")))
     for moment in np.sort(moments):
         done = max([end for name, end in ends.items() if (out.with_suffix(".making") / name).exists()], default=0.0)
         process = start_make(films, out)

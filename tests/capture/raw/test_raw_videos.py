@@ -71,6 +71,22 @@ def test_a_video_held_upright_is_turned_as_its_file_says(tmp_path):
     assert frame.picture.shape == (64, 48, 3)
     # what was above on the left is above on the right
     assert frame.picture[:30, 26:].mean() > 240 and frame.picture[:30, :22].mean() < 15
+    # as front cameras write it
+    data[place : place + 36] = fixed(-65536, 0, 0, 0, 65536, 0, 64 << 16, 0, 1 << 30)
+    path.write_bytes(bytes(data))
+    refused(AssetError, "as others see the person, found one that is to be shown mirrored", open_video, path)
+
+
+def test_a_film_that_does_not_say_its_colors_has_those_of_hd(tmp_path):
+    picture = np.full((720, 960, 3), (200, 60, 40), np.uint8)
+    path = tmp_path / "body.mkv"
+    with av.open(path, "w") as container:
+        stream = container.add_stream("ffv1", 30, width=960, height=720, pix_fmt="yuv444p")
+        frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format="yuv444p", dst_colorspace=1)
+        frame.colorspace = 2
+        container.mux([*stream.encode(frame), *stream.encode(None)])
+    (shown,) = read_frames(open_video(path))
+    assert np.abs(shown.picture - np.float32(picture)).max() < 4
 
 
 def test_a_film_in_hdr_has_the_white_and_the_colors_of_others(tmp_path):
@@ -215,6 +231,18 @@ def test_a_phone_that_is_knocked_over_a_large_way_is_a_moving_camera(body):
     small[60:], pixels[60:] = np.roll(small[60:], 16, axis=2), pixels[60:] + (18, 0)
     (problem,) = judge(replace(at, small=small, keypoints=replace(at.keypoints, pixels=pixels))).problems
     assert problem.fatal and re.match(r"the camera moves, by 18 pixels from 2\.\d s on", problem.what)
+
+
+def test_a_cut_to_another_room_is_refused_and_black_is_no_empty_room(body):
+    at = body[2].glance
+    small = at.small.copy()
+    small[60:] = np.where(np.abs(np.int16(small[60:]) - small[0]) < 12, 255 - small[0, ::-1], small[60:])
+    (problem,) = judge(replace(at, small=small)).problems
+    assert problem.fatal and re.match(r"from 2\.\d s on another room is seen than in the empty room", problem.what)
+    black = at.small.copy()
+    black[body[2].empty] = 3
+    found = judge(replace(at, small=black))
+    assert not found.empty.any() and not [problem for problem in found.problems if problem.fatal]
 
 
 @pytest.mark.parametrize(("quarter", "side"), [(1, "right"), (-1, "left")])
