@@ -3,8 +3,9 @@
     python -m experiments.nth_calls [NAME ...] [--most 9] [-o out/nth_calls]
 
 `synth`, `train --resume` and `bake` at their smallest: an error, Ctrl-C and SIGKILL at --most of their calls, the
-first, the last and a seeded choice between. OUT/nth_calls.json has calls, trials, and what was lost, left over or
-stray of each; exit code 1 where there is any. What the commands start from is made in OUT once.
+first, the last and a seeded choice between; at all calls of those that tests try at a few. OUT/nth_calls.json has
+calls, trials, and what was lost, left over or stray of each; exit code 1 where there is any. What the commands start
+from is made in OUT once.
 """
 
 import argparse
@@ -46,19 +47,19 @@ def swept(spec: dict, folder: Path) -> dict:
 
 def main() -> int:
     sys.path.insert(0, str(TESTS))
-    from nth_call_commands import LONG
+    from nth_call_commands import LONG, SLOW
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", choices=[[], *LONG], metavar="NAME")
-    parser.add_argument("--most", type=int, default=9, help="calls of each command")
+    parser.add_argument("names", nargs="*", choices=[[], *LONG, *SLOW], metavar="NAME")
+    parser.add_argument("--most", type=int, default=9, help="calls of each of the three")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/nth_calls"))
     asked = parser.parse_args()
     out = asked.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
     outcomes, bad = {}, 0
     places = inputs(out)
-    for name in asked.names or LONG:
-        text = json.dumps(LONG[name] | {"most": asked.most})
+    for name in asked.names or [*LONG, *SLOW]:
+        text = json.dumps(LONG[name] | {"most": asked.most} if name in LONG else SLOW[name])
         for place, path in places.items():
             text = text.replace(place, str(path))
         folder = out / f"trials of {name}"

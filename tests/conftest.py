@@ -288,7 +288,9 @@ def counted_contexts():
 
 
 def pytest_collection_modifyitems(items):
-    """All of tests/experiments is slow: what it tests is not installed (tests/README.md)."""
+    """All of tests/experiments is slow: what it tests is not installed (tests/README.md). The whole path comes first:
+    at the end a second process would take half of it over, and make its avatars again."""
+    items.sort(key=lambda item: item.path.name != "test_whole_path.py")
     for item in items:
         if ROOT / "tests" / "experiments" in item.path.parents:
             item.add_marker(pytest.mark.slow)

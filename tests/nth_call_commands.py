@@ -21,7 +21,7 @@ def rendered(out: str, old: str, new: str, *more: str) -> dict:
 def exported(out: str) -> dict:
     """`selfscan export`: two motions."""
     both = [["export", "builtin", "--motion", motion, "-o", "{}/" + out] for motion in ("counting", "walking")]
-    return {"modules": ["player.export_command"], "old": both[0], "new": both[1], "out": out, "most": 12}
+    return {"modules": ["player.export_command"], "old": both[0], "new": both[1], "out": out}
 
 
 def called(name: str, out: str, modules: list[str]) -> dict:
@@ -160,7 +160,7 @@ SLOW = {
     "render to a picture": rendered("out.png", "--frame 0", "--frame 9"),
     "render to frames": rendered("out", "--frames 0:3", "--frames 9:11"),
     "render to a film": rendered("out.mp4", "--frames 0:3", "--frames 9:11"),
-    "render --resume": rendered("out.mp4", "--frames 0:3", "--frames 9:11", "--resume") | {"most": 30},
+    "render --resume": rendered("out.mp4", "--frames 0:3", "--frames 9:11", "--resume"),
     "web": {
         "modules": ["player.web_command"], "old": ["web", "mannequin", "-o", "{}/out.html"],
         "new": ["web", "mannequin:female", "-o", "{}/out.html"], "out": "out.html",

@@ -43,7 +43,8 @@ def test_no_failing_call_loses_a_file(tmp_path, within, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SLOW)
 def test_no_failing_call_loses_what_a_command_wrote(tmp_path, within, name):
-    judged(name, swept(SLOW[name], tmp_path), within)
+    """At twelve of its calls; at all of them by night (experiments/nth_calls.py)."""
+    judged(name, swept(SLOW[name] | {"most": 12}, tmp_path), within)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from capture.own_face import FITTED, OWN_FACE, read_own_face
 from command.errors import AssetError
 from selfscan.__main__ import main
 from synth.command import load_subject
+from synth.raw import film
 from synth.raw.acting import acting
 
 PERSON = load_subject("builtin:female")
@@ -61,8 +62,9 @@ def test_others_than_built_in_people_are_refused_in_one_sentence():
 
 
 @pytest.mark.slow
-def test_five_raw_films_become_a_capture_with_the_persons_own_gains(tmp_path, capsys):
+def test_raw_films_and_one_of_the_face_become_a_capture_with_the_persons_own_gains(tmp_path, capsys, monkeypatch):
     raw, out = tmp_path / "raw", tmp_path / "capture"
+    monkeypatch.setattr(film, "PARTS", ("body", "head"))
     asked = ["--raw", "--keypoints", "--face-film", "--size", "240", "--seconds", "2", "--light", "even", "--no-truth"]
     assert main(["synth", "builtin", str(raw), *asked]) == 0
     assert main(["check", str(raw)]) == 0

@@ -104,7 +104,7 @@ def assert_equal_runs(run: Path, other: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "group"), [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGTERM, False)])
+@pytest.mark.parametrize(("number", "group"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
 def test_a_training_stopped_by_a_signal_and_resumed_equals_one_never_stopped(
     tiny_capture, never_stopped, tmp_path, number, group
 ):

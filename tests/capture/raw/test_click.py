@@ -4,6 +4,7 @@ import json
 import os
 import threading
 import time
+from pathlib import Path
 from queue import Queue
 from urllib.error import HTTPError
 from urllib.request import ProxyHandler, build_opener
@@ -21,9 +22,12 @@ from capture.raw.judge import judge
 from capture.raw.selection import select
 from capture.raw.video_file import open_video
 from command.progress import Progress
+from command.stages import command
 from selfscan import make
 from selfscan.__main__ import main
+from synth.raw import film as raw_film
 
+TESTS = Path(__file__).parents[2]
 PICTURES = {k: np.full((90, 120, 3), 8 * k, np.uint8) for k in range(3, 10)}
 
 
@@ -151,12 +155,15 @@ def test_the_clicked_frames_are_fitted_and_the_empty_room_is_known(tmp_path, mon
 def test_films_without_keypoints_and_a_person_who_clicks_end_in_an_avatar(tmp_path, monkeypatch, capfd):
     films, out = tmp_path / "me", tmp_path / "me.glb"
     size = ["--size", "160", "--seconds", "3"]
+    # the body's film alone is clicked
+    monkeypatch.setattr(raw_film, "PARTS", ("body",))
     assert main(["synth", "builtin", str(films), "--raw", "--keypoints", *size]) == 0
     truth = read_keypoints(films / "keypoints" / "body")
     (films / "keypoints").rename(tmp_path / "detector")
     # nobody sits there: refused in one line that says what to do
     words = ["make", str(films), "-o", str(out), "--stature", "1.753", "--minutes", "4"]
-    monkeypatch.setenv("PYTHONPATH", os.getcwd())
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.getcwd(), str(TESTS)]))
+    monkeypatch.setattr(make, "command", lambda *stage: command("tiny_commands", *stage[1:]))
     assert main(words) == 1
     assert "lets you click them" in capfd.readouterr().err
     monkeypatch.setattr(click, "answered", clicks(truth, 1.0))
