@@ -187,7 +187,10 @@ def _names(setting: Setting, option: Option) -> tuple[str, ...]:
 
 def _shown(setting: Setting) -> str:
     option = rule_of(setting, Option) or Option()
-    return option.metavar or setting.name if option.positional else "/".join(_names(setting, option))
+    if option.positional:
+        return option.metavar or setting.name
+    # with its unit
+    return " ".join(filter(None, ["/".join(_names(setting, option)), option.metavar]))
 
 
 def _keywords(setting: Setting, option: Option) -> dict[str, Any]:
