@@ -13,7 +13,7 @@ from avatar.face import SHAPES, Eye
 from avatar.texture import bytes_of, sample_texture
 from bake.bake import _Clock, faced
 from bake.face.blink import edges_of_lids
-from bake.face.cut import chains, cut_along, divided_faces
+from bake.face.cut import MEANS, chains, cut_along, divided_faces, refined
 from bake.face.eye_drawing import draw_eyes
 from bake.face.eyes import CAP, POLAR, cap, disc, edge_of_lids, eye_axis, iris_picture, pictured_lids, polar
 from bake.face.face import COARSE, parted, with_face
@@ -24,7 +24,7 @@ from bake.face.own import cheek_color, with_own_face
 from bake.face.strip import LEFT_EYE, MOUTH, size_in, uv_in, with_strip
 from bake.face.template import FaceRefused, person_face
 from capture.own_face import FITTED, OwnFace
-from geometry.mesh import face_areas
+from geometry.mesh import face_areas, half_edges
 
 SHEET = face_sheet()
 PARTED = parted(SHEET.level, SHEET.person, lip_line(SHEET.person))
@@ -66,6 +66,18 @@ def test_a_face_is_divided_on_one_two_or_three_edges_and_keeps_its_facing(edges)
     faces = divided_faces(np.array([[0, 1, 2]]), edges, 3)
     area = np.cross(whole[faces[:, 1]] - whole[faces[:, 0]], whole[faces[:, 2]] - whole[faces[:, 0]])[:, 2]
     assert len(faces) == 1 + len(edges) and (area > 0.1).all() and area.sum() == pytest.approx(1)
+
+
+def test_long_edges_are_halved_where_they_pass_though_their_middle_is_far():
+    """As they fan out over a flat upper lip from the border of the chart beside it."""
+    level = replace(SHEET.level, positions=np.float32([[0, 1, 0], [-4, 0, 0], [4, 0, 0]]), faces=np.uint32([[0, 1, 2]]))
+    rows = {name: values[:3] for name, values in vars(level).items() if name in MEANS[1:] and values is not None}
+    level = replace(level, **rows, joints=level.joints[:3], weights=level.weights[:3])
+    there = lambda points: np.hypot(points[:, 0] - 3.8, points[:, 1]) < 0.5
+    found = refined(level, there, 0.5)
+    edges = np.unique(np.sort(half_edges(found.faces.astype(int)), axis=1), axis=0)
+    ends = found.positions[edges].astype(float)
+    assert np.linalg.norm(np.diff(ends, axis=1), axis=2)[there(ends.mean(1))].max() <= 0.5
 
 
 def test_lines_are_found_whole_and_loops_end_where_they_begin():
