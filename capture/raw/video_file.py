@@ -94,11 +94,11 @@ def open_video(path: Path | str) -> VideoFile:
 
 def _mirrored(frame: "av.VideoFrame") -> bool:
     """Whether a frame is to be shown mirrored, as front cameras write it: by the display matrix (ISO 14496-12)."""
-    for data in frame.side_data:
-        if data.type.name == "DISPLAYMATRIX":
-            (a, b, _), (c, d, _), _ = np.frombuffer(bytes(data), np.int32).reshape(3, 3).astype(float)
-            return a * d < b * c
-    return False
+    data = frame.side_data.get("DISPLAYMATRIX")
+    if data is None:
+        return False
+    a, b, _, c, d, *_ = np.frombuffer(bytes(data), np.int32).astype(float).tolist()
+    return a * d < b * c
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
