@@ -52,6 +52,8 @@ ROUNDS = 24
 # a distance of colors in [0, 1] that no hair has; colors of either kind to which one is compared, and steps of each
 # channel in the table of the answers
 UNLIKE, ALIKE, STEPS = 0.06, 8, 32
+# the same of one in so many of hair's, where some are others'; how dark shade makes a color
+USUAL, SHADES = 100, (1.0, 0.8, 0.65, 0.5, 0.4)
 # views that show hair's colors, out of 1, from which a cell is hair: behind the face, and beside it, where cells of a
 # cheek are seen before hair
 BEHIND, BESIDE = 0.5, 0.75
@@ -154,9 +156,14 @@ class ColorKinds(NamedTuple):
         if min(len(hair), len(others)) < ALIKE:
             return cls(np.zeros(shape, bool), np.zeros(shape, bool))
         every = (np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 3) + 0.5) / STEPS
-        from_hair, from_others = (KDTree(some).query(every, ALIKE)[0].mean(1).reshape(shape) for some in (hair, others))
+        away = lambda some, k=ALIKE: KDTree(some).query(every, k)[0].mean(1).reshape(shape)
+        from_hair, from_others = away(hair), away(others)
         near = from_hair < UNLIKE
-        return cls(near & (1.5 * from_hair < from_others), ~near & (from_hair > 1.5 * from_others))
+        # a neck lies in the shade of hair, and some of hair's cells show it
+        few = hair[:: -(-len(hair) // 3000)]
+        usual, shaded = away(few, max(2, len(few) // USUAL)), away(np.concatenate([x * others for x in SHADES]))
+        other = ~near & (from_hair > 1.5 * from_others) | (usual > UNLIKE) & (usual > 1.5 * shaded)
+        return cls(near & (1.5 * from_hair < from_others), other)
 
     def share(self, kind: Bool[Array, "r g b"], shown: Float[Array, "views k 3"]) -> Float[Array, "k"]:
         """Of the views that see each cell those that show a color of one kind; 0 where fewer than SEEN_BY do."""
@@ -240,9 +247,7 @@ def _shown_behind(
     return shown, expected
 
 
-def _empty(
-    shown: Float[Array, "views k 3"], expected: Float[Array, "views k 3"], disagree: float
-) -> Bool[Array, "k"]:
+def _empty(shown: Float[Array, "views k 3"], expected: Float[Array, "views k 3"], disagree: float) -> Bool[Array, "k"]:
     """Which cells show what lies behind them, or in no two views the same, by more than `disagree`."""
     k = shown.shape[1]
     seen = np.isfinite(shown).all(2)

@@ -16,7 +16,7 @@ from avatar.skeleton import PARTS
 from avatar.skinning import dense_weights
 from capture.folder import CaptureSubject, read_capture, read_subject, write_subject
 from capture.template.eyes import body_sockets, eye_openings, eye_spheres, fit_sphere
-from capture.template.hollows import ColorView, Sure, carve_hollows, color_views
+from capture.template.hollows import ColorKinds, ColorView, Sure, carve_hollows, color_views
 from capture.template.parts import HEAD, part_boxes, with_rigid_head
 from capture.template.solid import outer_air, solid_inside
 from command.errors import AssetError
@@ -103,6 +103,19 @@ def test_what_shows_the_colors_of_the_shirt_is_no_hair_and_what_shows_those_of_h
         return
     # masks alone cannot tell
     assert not (carve_hollows(solid, hair, LOW, CELL, template(), views) & outside).sum() > 0.1 * outside.sum()
+
+
+def test_skin_in_the_shade_is_no_hair_though_some_cells_of_hair_show_it():
+    """A dark neck beside black hair: darker than any skin that is known, and not near hair's colors."""
+    rng = np.random.default_rng(0)
+    hair = np.clip(rng.normal(0.16, 0.05, (4000, 1)) + rng.normal(0, 0.01, (4000, 3)), 0, 1)
+    skin = np.array([0.62, 0.42, 0.31]) * rng.uniform(0.85, 1, (500, 1)) + rng.normal(0, 0.01, (500, 3))
+    shade = 0.5 * np.array([0.62, 0.42, 0.31])
+    hair[:: 4000 // 12] = shade
+    kinds = ColorKinds.between(hair, skin)
+    shown = np.stack([shade, skin[0], hair[1]])[None].repeat(3, 0)
+    assert kinds.share(kinds.other, shown).tolist() == [1, 1, 0]
+    assert kinds.share(kinds.hair, shown)[2] == 1
 
 
 def test_pictures_are_averaged_down_with_their_cameras():
