@@ -113,7 +113,7 @@ def claim(wanted: MakeCommand) -> None:
         if before != asked:
             words = " ".join(map(str, before.get("reading") or ["none"]))
             names = {"films": "films", "keypoints": "keypoints", "reading": f"options ({words})"}
-            other = next(name for field, name in names.items() if before.get(field) != asked[field])
+            other = next((name for field, name in names.items() if before.get(field) != asked[field]), "options")
             raise AssetError(f"{wanted.work}: holds the work on other {other}: remove it, or choose another -o")
     wanted.work.mkdir(exist_ok=True)
     write_json(note, asked)

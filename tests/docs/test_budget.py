@@ -12,7 +12,7 @@ BUDGET = {
     "command": 1_280,
     "avatar": 9_382,
     "geometry": 1_702,
-    "capture": 13_494,
+    "capture": 13_496,
     "train": 5_360,
     "bake": 6_765,
     "player": 19_627,
